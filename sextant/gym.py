@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array, apply, inverse, rotation_z, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import RobotProfile
@@ -119,7 +119,7 @@ class HexapodEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._newest: dict[AnyTopic, bytes] = {}
         self._driver = _Driver(self._scenario.walk)
         self._command = np.zeros(3, np.float32)
-        self._run = assemble(
+        self._run = LockstepRun(
             self._scenario, self._seed, self._profile, self._tap, every_frame=False, around={"operator": lambda _: self._driver}
         )
         while not (self._driver.leads and topics.TERRAIN in self._newest):

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.access.extreme_values import worst
 from benchmarks.faults.bus_log import Recorder
 from benchmarks.faults.fault_run import SCENARIO
-from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.service import Simulator
 from sextant.shared.recording.foxglove.translation import Foxglove
@@ -178,7 +178,7 @@ class _Walk:
         port = f"role attack {seed}"
         self.latch = Latch.of_port(port)
         self.latch.open()
-        self.run: LockstepRun = assemble(SCENARIO, seed, self.profile, self._hear, [Leader()], stop_port=port)
+        self.run = LockstepRun(SCENARIO, seed, self.profile, self._hear, [Leader()], stop_port=port)
         simulator = self.run.service("simulator")
         assert isinstance(simulator, Simulator)
         simulator.bus.overhear(self.recorder.sent, self.recorder.heard)

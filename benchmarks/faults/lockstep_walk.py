@@ -18,7 +18,7 @@ from benchmarks.faults.cases import Away, Case, Clock, Deed, Late, Meddling, Off
 from benchmarks.faults.fault_run import LEAST_WATCH_S, REPEAT_S, SCENARIO, FaultRun, Observed
 from benchmarks.faults.planner_faults import PlannerFaultInjector
 from benchmarks.faults.timeline import Timeline
-from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.service import Simulator
 from sextant.shared.runtime.lockstep import Outage, ServiceFailedError
@@ -55,9 +55,7 @@ class FaultWalk(FaultRun):
         self._latch = Latch.of_port(stop_port)
         self._latch.open()
         around = {"planner": self._meddler.around}
-        self._run: LockstepRun = assemble(
-            SCENARIO, seed, self.profile, self._hear, every_frame=False, around=around, stop_port=stop_port
-        )
+        self._run = LockstepRun(SCENARIO, seed, self.profile, self._hear, every_frame=False, around=around, stop_port=stop_port)
         simulator = self._run.service("simulator")
         assert isinstance(simulator, Simulator)
         self._simulator = simulator

@@ -29,10 +29,22 @@ if TYPE_CHECKING:
     from sextant.shared.wire.transport import Endpoints
 
 
-_page = click.option(
-    "--page/--no-page", default=None, help="serve the operator's page during the run (default: if the output is a terminal)"
+@dataclass(frozen=True, slots=True)
+class _Windows:
+    """What shows the robot during a live run."""
+
+    page: bool | None = None  # the operator's page; None: if the output is a terminal
+    viewer: bool = False  # MuJoCo's
+
+
+_windows = options_of(
+    _Windows,
+    "windows",
+    click.option(
+        "--page/--no-page", default=None, help="serve the operator's page during the run (default: if the output is a terminal)"
+    ),
+    flag("--viewer", "open MuJoCo's viewer, in which the mouse pushes the robot; needs a display"),
 )
-_viewer = flag("--viewer", "open MuJoCo's viewer, in which the mouse pushes the robot; needs a display")
 
 
 @command()
@@ -46,8 +58,7 @@ _viewer = flag("--viewer", "open MuJoCo's viewer, in which the mouse pushes the 
 @flag("--lockstep", "run in one process on simulated time, as fast as the machine allows")
 @flag("--bridge", "simulate a microcontroller on the servo bus, see docs/bridge.md")
 @flag("--slow-down", "slow simulated time down if this computer is too slow, as the demo does (default: real time)")
-@_page
-@_viewer
+@_windows
 @options.as_json
 @option("--record-depth", "also write the depth frames for `sextant recording replay` (with --lockstep)", "DIR")
 @options_of(
@@ -66,8 +77,7 @@ def run(
     lockstep: bool,
     bridge: bool,
     slow_down: bool,
-    page: bool | None,
-    viewer: bool,
+    windows: _Windows,
     as_json: bool,
     record_depth: str | None,
     connection: options.Connection,
@@ -94,15 +104,15 @@ def run(
         raise InputError(f"{course.name} injects faults into services that this command starts; leave --connect out")
     if connection.connect and course.params:
         raise InputError(f"{course.name} has [params] for services that this command starts; leave --connect out")
-    if (page or viewer) and (lockstep or connection.connect):
-        name = "--page" if page else "--viewer"
+    if (windows.page or windows.viewer) and (lockstep or connection.connect):
+        name = "--page" if windows.page else "--viewer"
         raise InputError(f"{name} is for services that this command starts live; leave --lockstep and --connect out")
     attach = connection.endpoints() if connection.connect else None
     course = replace(course, bridge=True) if bridge else course
     walk = _Walk(course, scenario, seed, out_folder(out, f"{course.name}-{seed}"), as_json)
     if lockstep:
         return _run_lockstep(walk, record_depth)
-    return _run_live(walk, "use --lockstep", slow_down, attach, parent, page, viewer)
+    return _run_live(walk, "use --lockstep", slow_down, attach, parent, windows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,15 +161,14 @@ _LINE = 119  # characters
 @options.seed
 @options.out
 @options.params
-@_page
-@_viewer
-def demo(course: str, seed: int, out: str | None, params: tuple[str, ...], page: bool | None, viewer: bool) -> int:
+@_windows
+def demo(course: str, seed: int, out: str | None, params: tuple[str, ...], windows: _Windows) -> int:
     """Simulate a walk over low steps, or across a gap, over Zenoh."""
     shown = DEMOS[course]
     say(textwrap.fill(f"{shown.before} {_TALKING}", _LINE))
     scenario = options.Variant(params=params).load(shown.scenario)
     walk = _Walk(scenario, shown.scenario, seed, out_folder(out, f"{scenario.name}-{seed}"))
-    status = _run_live(walk, f"use `sextant run {shown.scenario} --lockstep`", slow_down=True, page=page, viewer=viewer)
+    status = _run_live(walk, f"use `sextant run {shown.scenario} --lockstep`", slow_down=True, windows=windows)
     if status == SUCCESS:
         recording = f"has all messages; `sextant video {walk.out}` draws them, Foxglove opens them"
         files = {shown.picture: shown.shows, "recording.mcap": recording, "report.json": "has the result in numbers"}
@@ -209,15 +218,14 @@ def _run_live(
     slow_down: bool,
     attach: "Endpoints | None" = None,
     parent: int | None = None,
-    page: bool | None = None,
-    viewer: bool = False,
+    windows: _Windows = _Windows(),
 ) -> int:
     from sextant.deploy.live import live_run
     from sextant.deploy.live.page import Page, has_display, page_port
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 
-    if viewer and not has_display():
+    if windows.viewer and not has_display():
         raise InputError("--viewer: a display expected, found none; leave it out, and watch the operator's page in a browser")
     progress = open_progress(walk.as_json)
     with Interrupts() as interrupts:
@@ -229,7 +237,7 @@ def _run_live(
         if interrupts.asked():
             raise KeyboardInterrupt
         source = str(Path(walk.source).resolve()) if walk.source.endswith(".toml") else walk.source
-        watched = not attach and (page or (page is None and sys.stdout.isatty() and not walk.as_json))
+        watched = not attach and (windows.page or (windows.page is None and sys.stdout.isatty() and not walk.as_json))
         shown = Page(page_port(progress.say)) if watched else None
         if shown:
             progress.say(f"watch it, or lead it yourself: {shown.url}")
@@ -243,7 +251,7 @@ def _run_live(
             attach,
             slow_down=slow_down,
             page=shown,
-            viewer=viewer,
+            viewer=windows.viewer,
         )
     status = _tell(outcome.report, walk, f"{remedy} or close programs")
     return INTERRUPTED if outcome.interrupted else status

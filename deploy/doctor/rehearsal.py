@@ -63,12 +63,12 @@ def rehearse(seconds: float = SECONDS, machine: Callable[[], float] = time.monot
         seconds: [s] of real time for which the walk is timed.
         machine: [s] real time.
     """
-    from sextant.evaluation.lockstep.lockstep_run import assemble
+    from sextant.evaluation.lockstep.lockstep_run import LockstepRun
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.scenario.scenario import load_scenario
 
     scenario = load_scenario("flat")
-    run = assemble(scenario, 0, load_profile(scenario.robot))
+    run = LockstepRun(scenario, 0, load_profile(scenario.robot))
     run.run(_WALKS_AFTER_NS)
     timed = {name: AllDurations() for name in STAGES}
     for name, stages in timed.items():

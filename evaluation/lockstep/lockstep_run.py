@@ -75,6 +75,18 @@ class LockstepRun:
         around: Mapping[str, Callable[[Service], Service]] | None = None,
         stop_port: str = "",
     ):
+        """Assemble all services in this process; the actuator's port is the other end of the simulator's servo bus.
+
+        Args:
+            scenario: The course and how to walk it.
+            seed: Random seed of the run.
+            profile: The robot.
+            tap: Receives every frame as it is sent, with the simulated time [ns].
+            guests: Further services that take part.
+            every_frame: Also render the depth frames that only the tap receives; this costs a tenth of the run.
+            around: Service name -> function that wraps the service.
+            stop_port: Run the estop process, with the latch of this port; empty: without.
+        """
         keep_memory()
         if scenario.goal.passage:
             _rehearse_passage(scenario.robot)  # compile now, so that no planning time includes compilation
@@ -166,33 +178,6 @@ class LockstepRun:
         self._lockstep.say(message, topic)
 
 
-def assemble(
-    scenario: Scenario,
-    seed: int,
-    profile: RobotProfile,
-    tap: Tap = lambda _topic, _frame, _at_ns: None,
-    guests: Sequence[Service] = (),
-    every_frame: bool = True,
-    around: Mapping[str, Callable[[Service], Service]] | None = None,
-    stop_port: str = "",
-) -> LockstepRun:
-    """Assemble all services of a run in this process.
-
-    The actuator's port is the other end of the simulator's servo bus.
-
-    Args:
-        scenario: The course and how to walk it.
-        seed: Random seed of the run.
-        profile: The robot.
-        tap: Receives every frame as it is sent, with the simulated time [ns].
-        guests: Further services that take part.
-        every_frame: Also render the depth frames that only the tap receives; this costs a tenth of the run.
-        around: Service name -> function that wraps the service.
-        stop_port: Run the estop process, with the latch of this port; empty: without.
-    """
-    return LockstepRun(scenario, seed, profile, tap, guests, every_frame, around, stop_port)
-
-
 def run_lockstep(
     scenario: Scenario,
     seed: int,
@@ -231,7 +216,7 @@ def run_lockstep(
                     hear.remove(hears)
                     warn(f"a recording ended early: {error}")
 
-        run = assemble(scenario, seed, profile, tell, every_frame=bool(taps))
+        run = LockstepRun(scenario, seed, profile, tell, every_frame=bool(taps))
         # 2. Advance simulated time until the run is over.
         began_ns = stopwatch_ns()
         ended_by = _run_to_the_end(run, progress, out)

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.evaluation.lockstep.lockstep_run import assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.services.perception import tum
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.geometry import Array, interpolate
@@ -113,4 +113,4 @@ def record_tum(scenario: Scenario, seed: int, folder: Path, duration_s: float) -
     """
     profile = load_profile(scenario.robot)
     with DepthRecorder(folder, profile) as recorder:
-        assemble(scenario, seed, profile, recorder.tap).run(round(duration_s * 1e9))
+        LockstepRun(scenario, seed, profile, recorder.tap).run(round(duration_s * 1e9))

@@ -8,7 +8,7 @@ python -m tests.support.compiled steps 5.0     needs a separate process: other t
 import sys
 
 from sextant.deploy.launch.warm_up import compile_functions
-from sextant.evaluation.lockstep.lockstep_run import assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
 
@@ -35,7 +35,7 @@ def main() -> None:
     compile_functions(profile, sys.argv[1])
     before = signatures()
     print(*sorted({signature.partition("(")[0] for signature in before}))
-    assemble(scenario, 1000, profile).run(round(until_s * 1e9))
+    LockstepRun(scenario, 1000, profile).run(round(until_s * 1e9))
     print(*sorted(signatures() - before), sep="\n")
 
 

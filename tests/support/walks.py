@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.evaluation.report import Report
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile
@@ -87,7 +87,7 @@ def walk(
     """
     heard = Heard(tuple(wanted))
     looked_at = topics.DEPTH in heard.wanted
-    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap, guests, every_frame=looked_at)
+    run = LockstepRun(scenario, seed, load_profile(scenario.robot), heard.tap, guests, every_frame=looked_at)
     while not run.attendance.over():
         assert run.now_ns() < 2 * scenario.time_limit_s * S, "no verdict"
         run.run(run.now_ns() + LOOK_NS)
@@ -98,7 +98,7 @@ def walk(
 def blocked(scenario: Scenario, seed: int, within_s: float = 30.0) -> tuple[str, TerrainMap]:
     """Walk until the planner stops; return its reason and its map at that time."""
     heard = Heard((topics.PLANNER_STATUS, topics.TERRAIN))
-    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap, every_frame=False)
+    run = LockstepRun(scenario, seed, load_profile(scenario.robot), heard.tap, every_frame=False)
     while run.now_ns() < within_s * S:
         run.run(run.now_ns() + LOOK_NS)
         now_s = run.now_ns() * 1e-9

@@ -9,7 +9,7 @@ import pytest
 
 import sextant
 from sextant.client import Client, Commander, Status
-from sextant.evaluation.lockstep.lockstep_run import LockstepRun, assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire.messages import Goal, Mode, VelocityCommand
 
@@ -25,7 +25,7 @@ class Led:
         self.commander = Commander("tester")
         profile = sextant.load_profile(FLAT.robot)
         around = {"operator": lambda _: self.commander}
-        self.run: LockstepRun = assemble(FLAT, 1000, profile, around=around, stop_port="test client")
+        self.run = LockstepRun(FLAT, 1000, profile, around=around, stop_port="test client")
 
     @property
     def status(self) -> Status:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sextant.evaluation.lockstep.lockstep_run import assemble, run_lockstep
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun, run_lockstep
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
@@ -100,7 +100,7 @@ def test_same_seed_gives_same_report_and_frames_despite_pauses(first: tuple[str,
 
 def test_different_seed_gives_different_walk(first: tuple[str, Frames], course: Path) -> None:
     scenario, heard = load_scenario(str(course)), Heard((topics.BODY_POSE,))
-    assemble(scenario, OTHER_SEED, load_profile(scenario.robot), heard.tap, every_frame=False).run(round(STOOD_UP_S * S))
+    LockstepRun(scenario, OTHER_SEED, load_profile(scenario.robot), heard.tap, every_frame=False).run(round(STOOD_UP_S * S))
     others = [frame for _, frame, _ in heard.frames]
     assert len(others) > 10
     assert others != [frame for key, frame, _ in first[1] if key == topics.BODY_POSE.key][: len(others)]

@@ -6,7 +6,7 @@ Its figures equal the published ones, or are better.
 import pytest
 
 from sextant.evaluation.figures.thesis_figures import TESTS, Measured
-from sextant.evaluation.lockstep.lockstep_run import assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
 
@@ -18,7 +18,7 @@ _LOOK_NS = 500_000_000
 )
 def test_rx64_robot_matches_or_exceeds_thesis_results(name: str) -> None:
     scenario = load_scenario(name)
-    run = assemble(scenario, 1000, load_profile(scenario.robot))
+    run = LockstepRun(scenario, 1000, load_profile(scenario.robot))
     while not run.attendance.over():
         run.run(run.now_ns() + _LOOK_NS)
     report = run.attendance.judge(1.0, in_a_hurry=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.evaluation.lockstep.lockstep_run import assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.evaluation.observers.progress import Silent
 from sextant.evaluation.observers.run_observers import about
 from sextant.evaluation.replay.walk import Change, replay_recording
@@ -36,7 +36,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record the beginning of a walk over the steps course."""
     path, profile = tmp_path_factory.mktemp("recorded") / "recording.mcap", load_profile(STEPS.robot)
     with Recorder(path, about(STEPS, 1000, "lockstep"), Foxglove(profile)) as recorder:
-        assemble(STEPS, 1000, profile, recorder.write, every_frame=False).run(round(WALKED_S * 1e9))
+        LockstepRun(STEPS, 1000, profile, recorder.write, every_frame=False).run(round(WALKED_S * 1e9))
     return path
 
 

@@ -217,7 +217,7 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
         operator.say(f"{len(done)} of {len(profile.servo_names)} servos have their ids")
         words = _ask_joint(missing[0], profile, operator)
         if words == _LEAVE:
-            operator.say("stopped; the same command again goes on with the remaining servos")
+            operator.say("stopped; give the same command again for the remaining servos")
             return False
         target = _by_name(profile)[words] if words else missing[0]
         before = {one.seen.servo_id for one in found}

@@ -11,7 +11,7 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.launch import process_table
 from sextant.evaluation import params
-from sextant.evaluation.lockstep.lockstep_run import assemble
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.evaluation.observers.run_observers import RunObservers, about
 from sextant.evaluation.params import SystemParams
 from sextant.evaluation.replay.walk import _params
@@ -160,7 +160,7 @@ def test_settings_that_do_not_fit_each_other_are_refused() -> None:
     scenario = replace(FLAT, map=MapOptions(64, resolution=0.005))
     scenario = params.assigned(scenario, ["mapper.footholds.score.flat_radius=0.2"])
     with pytest.raises(ConfigError, match="settings of the mapper: flat_radius of at most 25 cells expected"):
-        assemble(scenario, 0, load_profile(scenario.robot))
+        LockstepRun(scenario, 0, load_profile(scenario.robot))
 
 
 def test_process_receives_the_parameters_of_lockstep() -> None:
@@ -176,7 +176,7 @@ def test_process_receives_the_parameters_of_lockstep() -> None:
         made.append(service)
         return service
 
-    assemble(scenario, 0, load_profile(scenario.robot), around={"planner": kept})
+    LockstepRun(scenario, 0, load_profile(scenario.robot), around={"planner": kept})
     assert live == made[0]._settings
     assert live.costmap.max_step_m == 0.07
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sextant.evaluation.lockstep.lockstep_run import CRASH, assemble, run_lockstep
+from sextant.evaluation.lockstep.lockstep_run import CRASH, LockstepRun, run_lockstep
 from sextant.evaluation.observers.progress import Silent
 from sextant.evaluation.observers.run_observers import RunObservers, clear
 from sextant.evaluation.report import without_timing
@@ -36,7 +36,7 @@ def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: boo
         if topic is not topics.HEALTH:
             heard.append((topic.key, frame, at_ns))
 
-    assemble(scenario, seed, PROFILE, tap, every_frame=every_frame).run(until_ns)
+    LockstepRun(scenario, seed, PROFILE, tap, every_frame=every_frame).run(until_ns)
     return heard
 
 
