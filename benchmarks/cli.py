@@ -6,21 +6,14 @@ from collections.abc import Sequence
 from benchmarks.commands.benches import benchmarks
 from benchmarks.commands.faults import faults
 from benchmarks.commands.fuzz import fuzz
-from sextant.deploy.commands.common import SUCCESS, say
-from sextant.deploy.reference import commands_page
 from sextant.deploy.terminal.run_command import run_command
+
+__all__ = ["PROGRAM", "benchmarks", "main"]
 
 PROGRAM = "python -m benchmarks"
 
 benchmarks.add_command(faults)
 benchmarks.add_command(fuzz)
-
-
-@benchmarks.command("docs")
-def docs() -> int:
-    """Print docs/benchmarks.md, a page with each benchmark."""
-    say(commands_page.page(benchmarks, PROGRAM).rstrip("\n"))
-    return SUCCESS
 
 
 def main(argv: Sequence[str] | None = None) -> int:

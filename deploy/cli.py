@@ -53,6 +53,8 @@ class _Sextant(Group):
         if new := _MOVED.get(args[0]):
             complain(f"`sextant {args[0]}` is now `sextant {' '.join(new)}`")
             args = [*new, *args[1:]]
+        if args[:2] == ["topics", "docs"]:
+            raise InputError("`sextant topics docs` is now `python -m docs.reference`; run it in a checkout of Sextant")
         if args[:2] == ["trials", "table"]:  # a two-word command whose first word is also a command
             args = ["trials table", *args[2:]]
         return super().resolve_command(ctx, args)

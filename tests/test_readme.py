@@ -75,7 +75,6 @@ RUN_BY = {
     "order": "tests/live/test_live_walk.py::test_attached_run_walks_with_running_services",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
     "topics ros2": "tests/unit/deploy/ros2/test_bridge.py::test_ros2_command_prints_topics_and_ends_on_ctrl_c",
-    "topics docs": "tests/unit/deploy/reference/test_reference_pages.py::test_page_equals_command_output",
     "topics echo": "tests/unit/deploy/topics/test_passive_subscriber.py::test_echo_prints_requested_number_of_messages",
     "topics hz": "tests/unit/deploy/topics/test_passive_subscriber.py::test_hz_measures_and_prints_totals",
     "benchmarks accuracy": "tests/unit/benchmarks/test_bench.py::test_accuracy_command_writes_tables",

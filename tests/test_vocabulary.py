@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 CODE = sorted(
     path
-    for folder in ("benchmarks", "deploy", "evaluation", "services", "sextant", "shared", "tests")
+    for folder in ("benchmarks", "deploy", "docs", "evaluation", "services", "sextant", "shared", "tests")
     for path in (ROOT / folder).rglob("*.py")
     if path != Path(__file__)
 )

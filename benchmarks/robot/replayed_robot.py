@@ -10,9 +10,8 @@ step, so the planner continues as with an obedient robot. The last output is one
 
 import json
 import sys
-import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -60,8 +59,20 @@ class Heard:
 class Player:
     """Publishes and receives on a clock that starts with the recording."""
 
-    def __init__(self, path: Path):
-        """Read all messages to publish."""
+    def __init__(
+        self,
+        path: Path,
+        clock: Callable[[], int] = time.monotonic_ns,
+        wait: Callable[[float], object] = time.sleep,
+    ):
+        """Read all messages to publish.
+
+        Args:
+            path: The recording.
+            clock: Returns the time [ns].
+            wait: Waits for some time [s].
+        """
+        self._clock, self._wait = clock, wait
         self._script = [
             (topic, message if topic is topics.ACTUATOR_STATE else _encoded(message, at_ns), message.stamp_ns, at_ns)
             for topic, message, at_ns in Recording(path).messages(_SAYS)
@@ -74,7 +85,7 @@ class Player:
 
     def now_ns(self) -> int:
         """The robot's time [ns]."""
-        return time.monotonic_ns() - self._began_ns
+        return self._clock() - self._began_ns
 
     def hear(self, topic: AnyTopic, frame: bytes) -> None:
         """Record a received message."""
@@ -97,16 +108,16 @@ class Player:
         for answer in (topics.SCAN_RECEIPT, topics.STEP_PLAN, topics.PLANNER_STATUS):
             link.subscribe(answer, self.hear)
         first_ns = self._script[0][3]
-        self._began_ns = time.monotonic_ns() - first_ns
-        waiting, late, sent = threading.Event(), [], []
+        self._began_ns = self._clock() - first_ns
+        late, sent = [], []
         for topic, said, stamp_ns, at_ns in self._script:
             if (ahead_ns := at_ns - self.now_ns()) > 0:
-                waiting.wait(ahead_ns * 1e-9)
+                self._wait(ahead_ns * 1e-9)
             late.append(self.now_ns() - at_ns)
             link.send(topic, said if isinstance(said, bytes) else _encoded(self._obeying(said), at_ns))
             if topic is topics.SCAN:
                 sent.append(stamp_ns)
-        waiting.wait(_LAST_S)
+        self._wait(_LAST_S)
         return self._heard(first_ns + round(after_s * 1e9), sent, late)
 
     def _obeying(self, message: Message) -> Message:

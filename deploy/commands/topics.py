@@ -3,16 +3,13 @@
 import json
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, cast
-
-import click
+from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
 from sextant.deploy.commands.recordings import foxglove
 from sextant.deploy.commands.ros2 import ros2
-from sextant.deploy.terminal.arguments import Choice, Group, argument, flag, option
+from sextant.deploy.terminal.arguments import Group, argument, flag, option
 
 if TYPE_CHECKING:
     from sextant.deploy.topics.passive_subscriber import ReceivedMessage
@@ -20,7 +17,6 @@ if TYPE_CHECKING:
     from sextant.shared.wire.transport import Endpoints
 
 _LOOK_S = 0.1
-PAGES = ("keys", "parameters", "commands", "scenarios", "profiles", "report")
 
 topics = Group("topics", "List topics, print messages, measure rates; pass them on to Foxglove or ROS 2.")
 _keys = argument("keys", "topics to receive (default: all except camera images)", "[KEY]...", nargs=-1)
@@ -40,34 +36,6 @@ def list_topics(as_json: bool) -> int:
     for t in TOPICS:
         doc = (t.type.__doc__ or "").split("\n")[0]
         say(f"{t.key:<20} {t.type.__name__:<16} {t.rate_hz:>5.1f} Hz  {t.delivery.value:<8}  {doc}")
-    return SUCCESS
-
-
-@topics.command("docs")
-@argument("page", "page to print (default: keys)", type=Choice(PAGES), default="keys")
-@option("--pictures", "also write the pictures of a page into this folder", "DIR")
-def docs(page: str, pictures: str | None) -> int:
-    """Print a page of the reference in docs/, made from the code."""
-    try:
-        from sextant.deploy.reference import commands_page, keys_page, params_page, schema_pages, terrain_pictures
-    except ImportError as error:
-        raise InputError(f"{error}; the page needs all services installed: pip install 'sextant[all]'") from None
-    match page:
-        case "keys":
-            text = keys_page.page()
-        case "parameters":
-            text = params_page.page()
-        case "commands":
-            text = commands_page.page(cast(click.Group, click.get_current_context().find_root().command), "sextant")
-        case "scenarios":
-            text = schema_pages.scenarios()
-            if pictures is not None:
-                terrain_pictures.write(Path(pictures))
-        case "profiles":
-            text = schema_pages.profiles()
-        case _:
-            text = schema_pages.report()
-    say(text.rstrip("\n"))
     return SUCCESS
 
 

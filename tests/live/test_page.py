@@ -288,8 +288,9 @@ def test_killed_console_stops_robot_and_page_reconnects(robot: PageRobot, chromi
     robot.until(lambda: robot.state is not None and robot.state.lease == "", what="that nobody leads")
     walk(robot, hand)
     robot.kill("console")
+    page.wait_for_function("() => !window.sextant.link.open")
     wait_until_standing(robot)
-    page.wait_for_function("() => window.sextant.link.open")
+    robot.until(lambda: page.evaluate("() => window.sextant.link.open"), what="the connection of the page")
     robot.pass_time(1.0)
     assert robot.is_in(Mode.HOLD), "the pad that is still held moves nothing"
     context.close()

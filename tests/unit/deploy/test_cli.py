@@ -490,6 +490,11 @@ def test_moved_command_still_runs_and_prints_hint(words: list[str], capsys: pyte
     assert error.startswith(f"sextant recording {words[0]}: nowhere.mcap")
 
 
+def test_docs_command_names_its_successor(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["topics", "docs", "keys"]) == 2
+    assert "is now `python -m docs.reference`; run it in a checkout" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_bench_command_redirects_to_benchmarks_module(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

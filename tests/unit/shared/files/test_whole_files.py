@@ -193,7 +193,7 @@ def test_all_files_are_written_through_whole_files() -> None:
     root = Path(__file__).parents[4]
     found = {
         path.relative_to(root).as_posix()
-        for package in ("benchmarks", "deploy", "evaluation", "services", "shared")
+        for package in ("benchmarks", "deploy", "docs", "evaluation", "services", "shared")
         for path in (root / package).rglob("*.py")
         if WRITES.search(path.read_text(encoding="utf-8"))
     }

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from docs.reference.keys_page import _service
 from sextant.deploy.launch.process_table import TABLE, rows
-from sextant.deploy.reference.keys_page import _service
 from sextant.deploy.security import access_page
 from sextant.deploy.security.authority import Authority, held
 from sextant.shared.recording.writer import LEFT_OUT

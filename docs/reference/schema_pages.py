@@ -1,14 +1,14 @@
 """Generators of docs/scenarios.md, docs/profiles.md and docs/report.md."""
 
-from sextant.deploy.reference.schema_tables import Layout, tables
-from sextant.deploy.reference.terrain_pictures import EXAMPLES
+from docs.reference.schema_tables import Layout, tables
+from docs.reference.terrain_pictures import EXAMPLES
 from sextant.evaluation.report import Report
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import Scenario
 
 _SCENARIO = """# Scenario format
 
-*`sextant topics docs scenarios --pictures docs/terrain` makes this page and its pictures from the schema
+*`python -m docs.reference scenarios` makes this page and its pictures from the schema
 (`shared/scenario/scenario.py`); a test checks that it is up to date.*
 
 A scenario is a TOML file with a course and the parameters to walk it. `sextant run FILE.toml`, `trials`, `demo` and
@@ -33,7 +33,7 @@ may be in a separate file, a trouble, which is laid over any course by a plus si
 """
 _PROFILE = """# Profile format
 
-*`sextant topics docs profiles` makes this page from the schema (`shared/robot/profile.py`); a test checks that it is up to
+*`python -m docs.reference profiles` makes this page from the schema (`shared/robot/profile.py`); a test checks that it is up to
 date.*
 
 A profile is a TOML file that describes a robot. [your_robot.md](your_robot.md) has a complete one. `--robot` takes its path,
@@ -43,7 +43,8 @@ legs is left front, right front, right middle, right rear, left rear, left middl
 """
 _REPORT = """# Fields of report.json
 
-*`sextant topics docs report` makes this page from the schema (`evaluation/report.py`); a test checks that it is up to date.*
+*`python -m docs.reference report` makes this page from the schema (`evaluation/report.py`); a test checks that it is up to
+date.*
 
 Every run writes `report.json`, and `sextant run --json` prints it. The scorer evaluates the run by ground truth, which no
 service reads. One seed in lockstep gives one report, byte for byte, except `real_time_factor`, `stages_ms`, `planning_ms` and

@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from docs.reference.field_comments import Meaning, comments, parse
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.live.send_command import Order
-from sextant.deploy.reference.field_comments import Meaning, comments, parse
 from sextant.deploy.ros2.bridge import Bridge
 from sextant.evaluation.observers.operator import Operator
 from sextant.evaluation.scoring.scorer import Scorer
@@ -24,13 +24,13 @@ from sextant.shared.wire import codec, messages, topics
 from sextant.shared.wire.messages import Dims, Message, Mode, VelocityCommand
 from sextant.shared.wire.transport import Endpoints
 
-CLIENT = Path(__file__).resolve().parents[2] / "docs" / "walk_client.py"
+CLIENT = Path(__file__).resolve().parents[1] / "walk_client.py"
 _FRAMES = ("world", "odom", "body")
 _NAMES = {float: "float", int: "int", bool: "bool", str: "text"}
 
 _BEGINNING = """# Keys and messages
 
-*`sextant topics docs` makes this page from the topic table, the process table and the declarations of the messages
+*`python -m docs.reference keys` makes this page from the topic table, the process table and the declarations of the messages
 (`shared/wire/topics.py`, `deploy/launch/process_table.py`, `shared/wire/messages.py`); a test checks that it is up to date.*
 
 All topics are on [Zenoh](https://zenoh.io), at the router that `sextant up` hosts on `{router}` (`--listen` sets another
@@ -50,10 +50,9 @@ address), with scouting off. A key of this page follows the namespace of the run
   time of day. A subscriber judges freshness by the time of arrival: a message is stale three periods after it arrived.
   Processes on another machine also use the robot's clock, which they follow through the send times of `actuator/state`.
 - A client that orders takes the lease, by the `holder` of a `ModeCommand`: only one client at a time may move the legs, any
-  client may stop them. Each client needs its own `holder`: of two clients under one name, the newer order holds. An order to
-  move, a velocity and a goal count only if their stamp is at most two seconds off the robot's clock, because older ones may be
-  a replayed recording. The `sequence` of an order is the time at which it was given, and does not change when the order is
-  repeated: an order that the actuator first receives more than two seconds later neither stands
+  client may stop them. An order to move, a velocity and a goal count only if their stamp is at most two seconds off the robot's
+  clock, because older ones may be a replayed recording. The `sequence` of an order is the time at which it was given, and does
+  not change when the order is repeated: an order that the actuator first receives more than two seconds later neither stands
   the robot up nor turns torque on. A client on any machine may take stamp and `sequence` from the newest `actuator/state`; the
   client below does. Orders `off` and `stop` with a fresh stamp are obeyed even if their `sequence` is older than one already
   received, unless it is not newer than that holder's last stop.

@@ -7,14 +7,14 @@ import click
 _WIDTH = 90  # [characters] of the help
 _SEXTANT = """# Commands
 
-*`sextant topics docs commands` makes this page from the commands; a test checks that it is up to date.*
+*`python -m docs.reference commands` makes this page from the commands; a test checks that it is up to date.*
 
 Every command prints its help with `--help`. The exit status is 0 only on success, 1 for a failed run, 2 for invalid input, 130
 after Ctrl-C. `--json` prints the result for scripts.
 """
 _BENCHMARKS = """# Benchmarks
 
-*`python -m benchmarks docs` makes this page from the commands; a test checks that it is up to date.*
+*`python -m docs.reference benchmarks` makes this page from the commands; a test checks that it is up to date.*
 
 The benchmarks compare Sextant with other libraries, inject faults and attack it. They run in a checkout. Of these, `speed`,
 `stages`, `passage` and `servos` need the other libraries, which `pip install -e '.[bench]'` brings.

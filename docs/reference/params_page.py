@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from sextant.deploy.reference.field_comments import comments_of, parse
+from docs.reference.field_comments import comments_of, parse
 from sextant.evaluation.params import SystemParams
 from sextant.shared.files import config
 from sextant.shared.params import Params
@@ -16,8 +16,8 @@ from sextant.shared.runtime.process import toml_value
 
 _BEGINNING = """# Parameters
 
-*`sextant topics docs parameters` makes this page from the declarations of the parameters (`params.py` in the folder of each
-algorithm); a test checks that it is up to date.*
+*`python -m docs.reference parameters` makes this page from the declarations of the parameters (`params.py` in the folder of
+each algorithm); a test checks that it is up to date.*
 
 A parameter is stated on the command line, in a scenario, or in code; nothing else changes it, neither a scenario's name nor a
 seed. Each way checks type and range before anything starts.

@@ -1,4 +1,4 @@
-"""The generated pages of docs/ equal the commands' output, and describe everything that a file may hold."""
+"""The generated pages of docs/ are up to date, and describe everything that a file may hold."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -9,30 +9,32 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks import cli as benchmarks
-from sextant.deploy import cli
-from sextant.deploy.commands.topics import PAGES
-from sextant.deploy.reference import terrain_pictures
-from sextant.deploy.reference.field_comments import comments_of, parse
-from sextant.deploy.reference.schema_tables import tables_of
+from docs.reference import __main__ as reference
+from docs.reference import terrain_pictures
+from docs.reference.__main__ import PAGES, text_of
+from docs.reference.field_comments import comments_of, parse
+from docs.reference.schema_tables import tables_of
 from sextant.evaluation.report import Report
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import Course, Scenario
 
-DOCS = Path(__file__).parents[4] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_page_equals_command_output(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["topics", "docs", name]) == 0
-    made = capsys.readouterr().out
-    assert made == (DOCS / f"{name}.md").read_text(encoding="utf-8"), f"run: sextant topics docs {name} > docs/{name}.md"
+def test_page_is_up_to_date(name: str) -> None:
+    assert text_of(name) == (DOCS / f"{name}.md").read_text(encoding="utf-8"), f"run: python -m docs.reference {name}"
 
 
-def test_page_of_benchmarks_equals_command_output(capsys: pytest.CaptureFixture[str]) -> None:
-    assert benchmarks.main(["docs"]) == 0
-    made = capsys.readouterr().out
-    assert made == (DOCS / "benchmarks.md").read_text(encoding="utf-8"), "make it again: python -m benchmarks docs"
+def test_command_writes_named_pages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(reference, "FOLDER", tmp_path)
+    assert reference.main(["profiles", "report"]) == 0
+    assert capsys.readouterr().out == "docs/profiles.md\ndocs/report.md\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"profiles.md", "report.md"}
+    assert reference.main(["nonsense"]) == 2
+    assert "unknown 'nonsense'; known: keys, parameters," in capsys.readouterr().err
 
 
 def schemas(kind: type[Any]) -> Iterator[type[Any]]:
@@ -72,4 +74,4 @@ def test_picture_shows_example(kind: str) -> None:
     stored = cv2.imread(str(path))
     assert stored is not None
     error = np.abs(stored[..., ::-1].astype(float) - terrain_pictures.draw(kind)).mean()
-    assert error < 4.0, "make it again: sextant topics docs scenarios --pictures docs/terrain > docs/scenarios.md"
+    assert error < 4.0, "make it again: python -m docs.reference scenarios"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from sextant.deploy.reference.field_comments import comments
+from docs.reference.field_comments import comments
 from sextant.shared.wire import codec, messages
 from sextant.shared.wire.messages import Mode, ModeCommand, VelocityCommand
 from sextant.shared.wire.topics import OF_TYPE, TOPICS
 
-DOCS = Path(__file__).parents[4] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "keys.md").read_text(encoding="utf-8")
 CLIENT = (DOCS / "walk_client.py").read_text(encoding="utf-8")
 
