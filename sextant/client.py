@@ -13,7 +13,7 @@ from typing import Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.deploy.live.send_command import SETTLED, STOPS, refusal, router_refusal
+from sextant.deploy.live.send_command import LEASE_ENDS_NS, SETTLED, STOPS, refusal, router_refusal
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.zenoh_runner import run_live
@@ -92,7 +92,7 @@ class Client:
             endpoint: Of the robot's router, e.g. tcp/127.0.0.1:7447 or tls/robot.local:7448.
             namespace: Of the robot, if several share a network.
             keys: Folder with this machine's certificate; a tls endpoint requires it.
-            name: Under which this client leads.
+            name: Under which this client leads; clients that lead the same robot need different names.
             take: Whether to lead in place of another client or operator.
 
         Raises:
@@ -256,6 +256,8 @@ class Client:
         leads = command not in STOPS
         if leads and self._may_only_stop:
             raise ClientError(self._may_only_stop)
+        if leads and not self._commander.leads:
+            self._await_name()
         before = self._commander.newest
         given_ns = self._commander.give(command)
 
@@ -279,6 +281,16 @@ class Client:
         if not leads and not self._commander.leads:
             self._commander.cancel(given_ns)
         return given_ns
+
+    def _await_name(self) -> None:
+        """Wait until no other client leads under the name of this one; the lease of an earlier program ends by itself.
+
+        Raises:
+            ClientError: Another client keeps leading under this name; each would supersede the other's commands.
+        """
+        name = self._commander.name
+        taken = f"another client named {name!r} leads the robot; end it, or give this one another name: Client(..., name=...)"
+        self._until(lambda status: status.actuator.lease != name, LEASE_ENDS_NS * 1e-9, taken)
 
     def _not_walking(self, state: ActuatorState) -> str:
         """Return why the robot no longer obeys this client's walk command, or an empty text."""
@@ -328,11 +340,12 @@ class Commander:
         self.stages = Stages()
         self.newest: Status | None = None  # None while the actuator is silent
         self.changed = threading.Condition()  # notified after each step
-        self.leads = False  # whether this client holds the lease, or held it last and no other does
+        self.leads = False  # whether this client has commanded the robot and no other client has led it since
         self.refused_by_router = ""  # why a router has refused the newest command, or an empty text
         self._may_lead, self._take = may_lead, take
         self._robot = RobotClockEstimate()
         self._holder = ""  # of the lease, in the newest state
+        self._has_commanded = False  # whether this client has given a command to move
         self._command: tuple[Command, int] | None = None  # and its sequence number: the robot's time [ns] when it was given
         self._motion: VelocityCommand | Goal | None = None
         self._due_ns: dict[str, int] = {}
@@ -347,6 +360,7 @@ class Commander:
         with self._lock:
             number = self._robot() if self._command is None else max(self._robot(), self._command[1] + 1)
             self._command = command, number
+            self._has_commanded |= command not in STOPS
             self._due_ns.clear()
             self.refused_by_router = ""
             return number
@@ -392,7 +406,8 @@ class Commander:
         """Give way to another client that has taken the lease from this one."""
         self._holder = holder
         if holder == self.name:
-            self.leads, self._take = True, False
+            if self._has_commanded:
+                self.leads, self._take = True, False
         elif holder and self.leads:
             self.leads, self._command = False, None
 

@@ -23,7 +23,12 @@ _LOOK_S = 0.05
     type=Choice(("off", "stop", "ready", "stand", "walk", "sit")),
 )
 @options.connection
-@option("--holder", "name of the lease holder; only one may move the legs (default: USER at MACHINE)", "NAME", default="")
+@option(
+    "--holder",
+    "name of this client; one leads at a time, each needs its own name (default: USER at MACHINE)",
+    "NAME",
+    default="",
+)
 @flag("--take", "take the lease over from its holder")
 def order(what: "What", connection: options.Connection, holder: str, take: bool) -> int:
     """Command a running robot: stand, walk, stop, sit, or torque off."""
@@ -82,6 +87,6 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
             complain(f"stopped by the operator{': the feet are set down' if withdrawn else ''}")
             return INTERRUPTED
     if given.failed:
-        raise CommandError(given.failed)
+        raise CommandError(f"the robot at {', '.join(endpoints.connect)}, namespace {endpoints.namespace}: {given.failed}")
     say(given.status())
     return SUCCESS

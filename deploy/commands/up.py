@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,8 @@ from sextant.deploy.terminal.arguments import Choice, argument, command, flag, o
 
 if TYPE_CHECKING:
     from sextant.deploy.launch.process_table import Choices, Process, Role
+    from sextant.deploy.live.page import Page
+    from sextant.deploy.live.readiness import Readiness
     from sextant.deploy.security.router_security import Gate
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.evaluation.observers.monitor import Monitor
@@ -113,14 +115,17 @@ def up(launch: Launch, print_zenoh: bool) -> int:
             page = Page(chosen.console_port) if paged else None
             if page:
                 say(f"the operator's page: {page.url}")
-            problem = ""
+            readiness = _readiness(half.names, bool(chosen.scenario), page, gated, launch.role)
             shown = time.monotonic()
-            with _monitor(gated, launch.role) if drawn else nullcontext() as monitor:
+            problem = ""
+            with _monitor(gated, launch.role) as monitor:
                 while not problem and not interrupts.asked():
                     problem = half.beat(0.2)
                     if page:
                         page.show()
-                    if monitor is not None and time.monotonic() - shown >= _SHOW_S:
+                    for line in readiness.lines(monitor.view.doing, time.monotonic()):
+                        progress.say(line)
+                    if drawn and time.monotonic() - shown >= _SHOW_S:
                         shown = time.monotonic()
                         progress.update(monitor.view)
             progress.finish()
@@ -146,6 +151,17 @@ def _compile_first(progress: "Progress", interrupts: "Interrupts") -> None:
         return
     if problem := live_run.warm_up(progress, interrupts):
         raise CommandError(f"{problem}; `sextant doctor` checks what the services need")
+
+
+def _readiness(names: Sequence[str], simulated: bool, page: "Page | None", gated: "Gate", role: "Role") -> "Readiness":
+    """Return what announces that the services of this machine are ready."""
+    from sextant.deploy.live.readiness import Readiness, next_steps
+
+    connect = "" if gated.own == options.ROUTER else f"--connect {gated.own}"
+    namespace = "" if gated.namespace == "sextant" else f"--namespace {gated.namespace}"
+    words = " ".join(filter(None, (connect, namespace)))
+    steps = next_steps(names, simulated, page.url if page else "", gated.own, gated.namespace, words)
+    return Readiness(names, gated.role(role == "offboard"), steps)
 
 
 @contextmanager

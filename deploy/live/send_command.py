@@ -14,6 +14,7 @@ _ON_THE_WAY = "each router on the way needs keys of a role that may send operato
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first message of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for the order to be executed
+LEASE_ENDS_NS = 3_500_000_000  # [ns] within which the lease of a client that repeats no order has ended
 STOPS: tuple[What, ...] = ("off", "stop")  # any client may send these
 SETTLED: dict[What, tuple[Mode, ...]] = {  # modes in which an order is executed
     "off": (Mode.OFF,),
@@ -52,6 +53,7 @@ class Order:
         self.words = "waiting for the actuator"
         self._what, self._holder, self._take, self._leads = what, holder, take, leads
         self._begun_ns = -1
+        self._first_ns = -1  # first time at which another client of the same name held the lease
         self._changed = False  # whether the robot has said anything else since the order, also if it says the same again later
         self._number = -1  # of the order: a time of the robot's clock, so that it is larger than those of other machines
         self._robot = RobotClockEstimate()
@@ -79,6 +81,8 @@ class Order:
         now = tick.stamp_ns
         self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
+        if self._is_name_taken(state, now):
+            return
         obeyed = self._what in STOPS or (state is not None and state.lease == self._holder)
         if (why := router_refusal(inbox)) and not obeyed:
             self._end(why)
@@ -91,6 +95,21 @@ class Order:
             yield from self._words_of_it(self._robot())
         if not self._robot.in_doubt:
             self._see(state, now - self._begun_ns)
+
+    def _is_name_taken(self, state: ActuatorState | None, now_ns: int) -> bool:
+        """Return whether another client leads under the name of this order; end the order if that lasts.
+
+        The lease of an earlier order ends by itself. Two clients of one name would supersede each other's orders.
+        """
+        if self._what in STOPS or self._number >= 0 or state is None or state.lease != self._holder:
+            return False
+        self._first_ns = now_ns if self._first_ns < 0 else self._first_ns
+        if now_ns - self._first_ns > LEASE_ENDS_NS:
+            self._end(
+                f"another client named {self._holder!r} leads it; end that one, or give this one another name with --holder"
+            )
+        self._begun_ns, self.words = now_ns, f"waiting for the lease of an earlier order of {self._holder} to end"
+        return True
 
     def _words_of_it(self, stamp_ns: int) -> Iterator[Message]:
         """Yield the order under each key that may carry it."""
@@ -110,7 +129,8 @@ class Order:
         self.words = f"{state.mode}: {state.reason}"
         refused = refusal(self._what, self._holder, state)
         if refused and refused not in self._heard.warnings:
-            self._end(refused)
+            led = self._what not in STOPS and state.lease not in ("", self._holder)
+            self._end(f"{refused}; --take takes it over" if led else refused)
         elif self._done(state):
             self.finished = self._what != "walk"
         elif since_ns > _PATIENCE_NS:

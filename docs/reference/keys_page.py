@@ -50,9 +50,10 @@ address), with scouting off. A key of this page follows the namespace of the run
   time of day. A subscriber judges freshness by the time of arrival: a message is stale three periods after it arrived.
   Processes on another machine also use the robot's clock, which they follow through the send times of `actuator/state`.
 - A client that orders takes the lease, by the `holder` of a `ModeCommand`: only one client at a time may move the legs, any
-  client may stop them. An order to move, a velocity and a goal count only if their stamp is at most two seconds off the robot's
-  clock, because older ones may be a replayed recording. The `sequence` of an order is the time at which it was given, and does
-  not change when the order is repeated: an order that the actuator first receives more than two seconds later neither stands
+  client may stop them. Each client needs its own `holder`: of two clients under one name, the newer order holds. An order to
+  move, a velocity and a goal count only if their stamp is at most two seconds off the robot's clock, because older ones may be
+  a replayed recording. The `sequence` of an order is the time at which it was given, and does not change when the order is
+  repeated: an order that the actuator first receives more than two seconds later neither stands
   the robot up nor turns torque on. A client on any machine may take stamp and `sequence` from the newest `actuator/state`; the
   client below does. Orders `off` and `stop` with a fresh stamp are obeyed even if their `sequence` is older than one already
   received, unless it is not newer than that holder's last stop.

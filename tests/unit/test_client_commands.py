@@ -272,6 +272,29 @@ def test_lease_of_another_client_is_refused_with_the_way_to_take_it_over(robot: 
         me.stand()
 
 
+def test_client_commands_nothing_while_another_client_of_its_name_leads(robot: Robot) -> None:
+    robot.set(mode=Mode.WALK, lease="me")
+    with Client(name="me", take=True) as me:
+        taken = r"another client named 'me' leads the robot; .* Client\(\.\.\., name=\.\.\.\)"
+        for command in (me.stand, me.sit, lambda: me.walk(0.08), lambda: me.goto(1.0, 0.5)):
+            with pytest.raises(ClientError, match=taken):
+                command()
+        assert robot.sent == []
+        me.stop()
+        assert robot.state.mode is Mode.HOLD
+    assert all(isinstance(message, ModeCommand | StopOrder) and message.mode == "stop" for message in robot.sent)
+
+
+def test_client_waits_for_the_lease_of_an_earlier_program_of_its_name(robot: Robot) -> None:
+    robot.set(lease="me")
+    began_ns = robot.now_ns
+    robot.then = lambda: robot.set(lease="") if began_ns + 3_000 * MS <= robot.now_ns < began_ns + 3_100 * MS else None
+    with Client(name="me") as me:
+        me.stand()
+        assert robot.state.mode is Mode.HOLD
+        assert robot.now_ns - began_ns > 3_000 * MS
+
+
 def test_certificate_without_walk_permission_may_stop(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     viewer = ROLE_NAMED["viewer"]
     monkeypatch.setattr(client.Keys, "load", lambda _: SimpleNamespace(role=viewer, refusal=viewer.refusal))

@@ -208,7 +208,7 @@ class CommandArbiter:
 
 
 def _older(order: ModeCommand) -> str:
-    return f"`{order.mode}` of {order.holder} refused: it is older than the newest order of this client"
+    return f"`{order.mode}` of {order.holder} refused: a newer order was given under this name; each client needs its own name"
 
 
 def _untimely(order: ModeCommand, now_ns: int) -> str:

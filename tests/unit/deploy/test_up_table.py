@@ -64,12 +64,14 @@ def test_status_of_services_is_a_table_below_their_output_on_a_terminal(
     assert cli.main(["up", "all", "--scenario", "flat", "--no-page"]) == 1
     if terminal:
         lines = screen.lines()
-        assert lines[2] == "mapper: a line of its log"
+        assert lines[2] == "ready after 0 s: mapper run"
+        assert lines[3] == "mapper: a line of its log"
         assert lines[-2:] == ["  mapper  mapping", "sextant up: mapper keeps failing"]
         assert "to the goal" not in screen.getvalue()
     else:
         printed = capsys.readouterr()
         assert "mapping" not in printed.out
+        assert printed.out.splitlines()[-1] == "ready after 0 s: mapper run"
         assert printed.err.splitlines() == ["mapper: a line of its log", "sextant up: mapper keeps failing"]
 
 

@@ -77,7 +77,7 @@ def test_a_replayed_stop_older_than_a_known_order_is_refused() -> None:
     rule(arbiter, order("stand", START + 10 * SECOND))
     ruling = rule(arbiter, old, START + 11 * SECOND)
     assert not ruling.is_obeyed
-    assert "older than the newest" in (ruling.objection or "")
+    assert "each client needs its own name" in (ruling.objection or "")
 
 
 def test_a_repeated_order_keeps_the_lease_and_nothing_else() -> None:

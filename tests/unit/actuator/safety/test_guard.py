@@ -176,7 +176,7 @@ class Everything(RuleBasedStateMachine):
                 self.ordered_to_walk &= self.robot.now - self.heard <= AWAY_NS
                 self.heard = self.robot.now
         else:
-            assert "older" in guard.objection
+            assert "each client needs its own name" in guard.objection
 
     @rule(kept=st.booleans())
     def restart_guard(self, kept: bool) -> None:

@@ -97,7 +97,7 @@ def test_repeated_or_older_order_is_not_obeyed(mode: str) -> None:
     if mode == "off":
         assert robot.torque
     assert robot.handle_order(again) == robot.handle_order(older) == ()
-    assert robot.guard.objection == "`sit` of a refused: it is older than the newest order of this client"
+    assert robot.guard.objection.startswith("`sit` of a refused: a newer order was given under this name")
     assert robot.mode is Mode.STAND
     assert robot.handle_order(ModeCommand(robot.now, "off", robot.number, "a")) == ()
 
@@ -111,7 +111,10 @@ def test_late_torque_off_after_newer_walk_order_is_obeyed_once() -> None:
     robot.order("stand")
     for again in (late[1], late[2]):
         assert robot.handle_order(again) == ()
-        assert robot.guard.objection == "`off` of a refused: it is older than the newest order of this client"
+        assert (
+            robot.guard.objection
+            == "`off` of a refused: a newer order was given under this name; each client needs its own name"
+        )
     assert robot.guard.handle_stop(StopOrder(robot.now, "off", late[1].sequence, "a"), robot.now) == (), "heard already"
     assert robot.torque
     assert robot.handle_order(late[0]) == (Act.TORQUE_OFF,), "no newer stop is known"
@@ -123,7 +126,10 @@ def test_replayed_older_stop_is_refused(mode: str) -> None:
     robot.order("walk")
     assert robot.accept_plan(robot.plan())
     assert robot.handle_order(ModeCommand(robot.now - ORDER_AGE_NS - 1, mode, robot.number - 1, "a")) == ()  # type: ignore[arg-type]
-    assert robot.guard.objection == f"`{mode}` of a refused: it is older than the newest order of this client"
+    assert (
+        robot.guard.objection
+        == f"`{mode}` of a refused: a newer order was given under this name; each client needs its own name"
+    )
     assert robot.mode is Mode.WALK
 
 

@@ -90,6 +90,37 @@ def test_refusal_fails_order_unless_older_than_order() -> None:
     assert desk.order.failed.endswith("order `stand` first")
 
 
+def test_refusal_for_another_holder_names_the_option_that_takes_over() -> None:
+    desk = OrderBench(Order("walk", "me"), mode=Mode.HOLD, reason="standing", lease="another")
+    desk.run_ticks(2)
+    desk.run_ticks(1, warnings=("`walk` of me refused: another holds the lease; take it over, or wait until it expires",))
+    assert desk.order.failed.endswith("another holds the lease; take it over, or wait until it expires; --take takes it over")
+
+
+def test_order_waits_for_the_lease_of_an_earlier_order_of_the_same_name() -> None:
+    desk = OrderBench(Order("walk", "me"), mode=Mode.HOLD, reason="standing", lease="me")
+    desk.run_ticks(50)
+    assert desk.given == []
+    assert desk.order.status() == "waiting for the lease of an earlier order of me to end"
+    desk.run_ticks(2, lease="")
+    desk.run_ticks(40, lease="me")
+    assert len(desk.given) == 5
+    assert not desk.order.failed
+
+
+@pytest.mark.parametrize("take", [False, True])
+def test_order_is_not_given_while_another_client_of_the_same_name_leads(take: bool) -> None:
+    desk = OrderBench(Order("walk", "me", take), mode=Mode.WALK, reason="walking", lease="me")
+    desk.run_ticks(80)
+    assert desk.given == []
+    assert desk.order.failed == (
+        "another client named 'me' leads it; end that one, or give this one another name with --holder"
+    )
+    desk = OrderBench(Order("stop", "me"), mode=Mode.WALK, reason="walking", lease="me")
+    desk.run_ticks(1)
+    assert [m.mode for m in desk.given] == ["stop"], "any client may stop"
+
+
 def test_walk_order_continues_until_withdrawn() -> None:
     desk = OrderBench(Order("walk", "me", take=True), mode=Mode.HOLD, reason="standing")
     desk.run_ticks(2)
@@ -124,8 +155,9 @@ def test_order_times_out_without_actuator_or_mode_change() -> None:
     assert not desk.order.finished
     desk.run_ticks(20)
     assert desk.order.failed.startswith("no word from the actuator within 5 s")
-    desk = OrderBench(Order("sit", "me"), mode=Mode.WALK, reason="walking", lease="me")
-    desk.run_ticks(320)
+    desk = OrderBench(Order("sit", "me"), mode=Mode.WALK, reason="walking")
+    desk.run_ticks(2)
+    desk.run_ticks(320, lease="me")
     assert desk.order.failed == "15 s after the order the mode is walk: walking"
 
 
@@ -153,9 +185,10 @@ def test_stop_order_is_sent_without_permission_to_lead(what: Any, leads: bool) -
 
 
 def test_mode_commands_are_stamped_with_robot_clock() -> None:
-    desk = OrderBench(Order("walk", "me"), mode=Mode.HOLD, reason="standing", lease="me")
+    desk = OrderBench(Order("walk", "me"), mode=Mode.HOLD, reason="standing")
     desk.ahead_ns = 3_600_000_000_000
-    desk.run_ticks(30)
+    desk.run_ticks(2)
+    desk.run_ticks(28, lease="me")
     assert len(desk.given) > 2
     assert all(0 <= desk.now_ns + desk.ahead_ns - m.stamp_ns <= 30 * 50 * MS for m in desk.given)
     assert {m.sequence for m in desk.given} == {desk.given[0].stamp_ns}, "it counts on from orders of other machines"

@@ -188,7 +188,7 @@ def test_velocities_are_sent_only_after_lease_is_granted() -> None:
 def test_denied_lease_is_reported_with_reason() -> None:
     desk = LeadBench()
     assert desk.state is not None
-    refused = "`walk` of ros2 refused: it is older than the newest order of this client"
+    refused = "`walk` of ros2 refused: a newer order was given under this name; each client needs its own name"
     for _ in range(60):
         desk.state = replace(desk.state, lease="", warnings=(refused,))
         desk.drive(1)

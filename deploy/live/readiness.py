@@ -1,0 +1,69 @@
+"""Whether the processes of a machine are ready, from their health messages. Pure: time is an input."""
+
+from collections.abc import Collection, Iterator
+
+_SLOW_S = 10.0  # [s] after which the missing services are named
+_AGAIN_S = 30.0  # [s] between two such lines
+_COMPILING = "the first start compiles the inner loops, which takes about a minute"
+
+
+class Readiness:
+    """Waits until each started service has reported its health; announces that once, or which services are missing."""
+
+    def __init__(self, names: Collection[str], role: str, next_steps: str):
+        """Wait for services.
+
+        Args:
+            names: Of the started services.
+            role: Under which they report their health.
+            next_steps: What the operator can do once they are ready.
+        """
+        self._keys = {name if role == "robot" else f"{name} ({role})": name for name in names}
+        self._next_steps = next_steps
+        self._begun_s = -1.0
+        self._due_s = 0.0  # when the missing services are named
+        self._is_ready = False
+
+    def lines(self, reported: Collection[str], now_s: float) -> Iterator[str]:
+        """Yield the lines that are due.
+
+        Args:
+            reported: Names of all services that have reported their health, with the role if it is not the robot's.
+            now_s: [s] current time.
+        """
+        if self._is_ready:
+            return
+        if self._begun_s < 0.0:
+            self._begun_s, self._due_s = now_s, now_s + _SLOW_S
+        waited_s = now_s - self._begun_s
+        missing = [name for key, name in self._keys.items() if key not in reported]
+        if not missing:
+            self._is_ready = True
+            yield f"ready after {waited_s:.0f} s: {self._next_steps}"
+        elif now_s >= self._due_s:
+            self._due_s = now_s + _AGAIN_S
+            yield f"not ready after {waited_s:.0f} s: no health message of {', '.join(missing)} yet; {_COMPILING}"
+
+
+def next_steps(names: Collection[str], simulated: bool, page: str, endpoint: str, namespace: str, options: str) -> str:
+    """Return as text what an operator can do with a machine whose services are ready.
+
+    Args:
+        names: The started services.
+        simulated: Whether the robot is simulated.
+        page: Address of the operator's page; empty without one.
+        endpoint: For other programs of this machine.
+        namespace: Prefix of the keys.
+        options: Options of `sextant` that connect to it; empty if they are the defaults.
+    """
+    if "actuator" not in names:
+        served = f"; the operator's page is {page}" if page else ""
+        return f"{', '.join(names)} run{served}"
+    named = "" if namespace == "sextant" else f', namespace="{namespace}"'
+    robot = "the simulated robot" if simulated else "the robot"
+    ways = [
+        *([f"hold the pad or click a goal on {page}"] if page else []),
+        f"`sextant order stand{f' {options}' if options else ''}`",
+        f'sextant.Client("{endpoint}"{named}) in Python (docs/api.md)',
+    ]
+    return f"{robot} takes commands: {', or '.join(ways)}"
