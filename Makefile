@@ -7,6 +7,8 @@ LIVE := tests/live tests/test_commissioning.py tests/unit/benchmarks/test_bench_
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 # Without a network pip would try again and again, and so would the pip that it starts to build with.
 export PIP_RETRIES ?= 1
+# Each process finds what an earlier one has compiled, also where the shell forbids it: tests start several hundred processes.
+export PYTHONDONTWRITEBYTECODE :=
 UNREACHABLE := NewConnectionError|ConnectTimeoutError|NameResolutionError|ReadTimeoutError|ProxyError|connection broken
 # What pip says is kept, and is shown unless it is that there is no network.
 install = $(PIP) install --constraint constraints.txt --editable '.[$(1)]' 2>$(VENV)/pip.log || { \
