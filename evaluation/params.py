@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 from sextant.services.actuator.config import ActuatorParams
@@ -64,9 +65,18 @@ def assigned(scenario: Scenario, assignments: Iterable[str]) -> Scenario:
         ConfigError: A parameter of the scenario or an assignment is invalid.
     """
     of_scenario(scenario)  # its own errors are not those of the assignments
-    table = deepcopy(scenario.params)
+    return replace(scenario, params=assigned_table(assignments, scenario.params))
+
+
+def assigned_table(assignments: Iterable[str], params: Mapping[str, Any] = MappingProxyType({})) -> Table:
+    """Return the parameters that differ from their defaults after assignments to a table, as a nested table.
+
+    Raises:
+        ConfigError: An assignment is invalid.
+    """
+    table = deepcopy(dict(params))
     config.assign(table, assignments)
-    return replace(scenario, params=changes(read(table, "--set")))
+    return changes(read(table, "--set"))
 
 
 def of_scenario(scenario: Scenario) -> SystemParams:

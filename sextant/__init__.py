@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from sextant.services.planner.roadmap.roadmap import Roadmap as Roadmap
     from sextant.services.planner.terrain import Terrain as Terrain
     from sextant.shared.plugins.loading import Plugins as Plugins
+    from sextant.shared.recording.grid_map import read_grid_map as read_grid_map
     from sextant.shared.robot.kinematics import leg_forward as leg_forward
     from sextant.shared.robot.kinematics import leg_inverse as leg_inverse
     from sextant.shared.robot.profile import RobotProfile as RobotProfile
@@ -60,6 +61,7 @@ _HOMES = {
     "Roadmap": "sextant.services.planner.roadmap.roadmap",
     "Terrain": "sextant.services.planner.terrain",
     "Plugins": "sextant.shared.plugins.loading",
+    "read_grid_map": "sextant.shared.recording.grid_map",
     "leg_forward": "sextant.shared.robot.kinematics",
     "leg_inverse": "sextant.shared.robot.kinematics",
     "RobotProfile": "sextant.shared.robot.profile",

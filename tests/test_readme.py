@@ -65,6 +65,7 @@ RUN_BY = {
     "topics foxglove": "tests/unit/evaluation/viewers/test_viewers.py::"
     "test_foxglove_server_advertises_channels_and_sends_subscribed",
     "recording export": "tests/unit/evaluation/viewers/test_viewers.py::test_recording_is_exported_to_rerun",
+    "recording export FILE": "tests/unit/evaluation/viewers/test_file_export.py::test_exported_grid_map_is_ground",
     "plot": "tests/unit/evaluation/figures/test_run_figures.py::test_plot_command_draws_requested_figures_and_comparison",
     "up --camera": "tests/live/test_camera.py::test_onboard_services_publish_images_and_report_missing_camera",
     "up --connect": "tests/live/test_live_walk.py::test_onboard_and_offboard_start_in_either_order",
@@ -81,6 +82,7 @@ RUN_BY = {
     "benchmarks speed": "tests/unit/benchmarks/test_bench.py::test_speed_command_writes_timings",
     "benchmarks passage": "tests/unit/benchmarks/test_bench.py::test_passage_command_writes_table",
     "benchmarks stages": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
+    "benchmarks stages --foothold": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
     "service compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
     "service install": "tests/unit/deploy/launch/test_units.py::test_service_command_installs_prints_next_step_and_uninstalls",
     "benchmarks faults": "tests/walk/test_faults_command.py::test_faults_command_checks_limits_and_skips_completed_injections",

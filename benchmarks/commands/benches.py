@@ -21,33 +21,48 @@ _seeds = option(
     "--seeds", "seeds of the rides, B not included", "A:B", type=Parsed(options.seeds, "seeds"), default="1000:1003"
 )
 _frames = option("--frames", "frames of each ride, 2 cm apart", "N", type=whole(3, 100_000), default=100)
+_registration = options.plugin("registration")
 
 
 @benchmarks.command("accuracy")
 @options.jobs
 @_seeds
+@_registration
+@options.params
 @options.out
 @options.as_json
-def bench_accuracy(jobs: int, seeds: range, out: str | None, as_json: bool) -> int:
-    """Measure pose and map errors of the real services on rebuilt scenes."""
-    from benchmarks.peers import accuracy
+def bench_accuracy(jobs: int, seeds: range, registration: str, params: tuple[str, ...], out: str | None, as_json: bool) -> int:
+    """Measure pose and map errors of the real services on rebuilt scenes.
 
+    With a plug-in or parameters, a second row of each scene has its errors.
+    """
+    from benchmarks.peers import accuracy
+    from sextant.evaluation.params import assigned_table
+
+    options.check_plugin("registration", registration)
+    variant = accuracy.Variant(registration, assigned_table(params))
+    if unused := sorted(variant.params.keys() - {"perception", "mapper"}):
+        raise InputError(
+            f"--set: a parameter of perception or mapper expected, found one of {unused[0]}, which does not run here"
+        )
     folder = out_folder(out, "bench-accuracy")
-    rows = accuracy.tables(seeds, jobs, open_progress(as_json).say)
+    rows = accuracy.tables(seeds, jobs, open_progress(as_json).say, variant)
     return _tell_bench(accuracy.in_words(rows), accuracy.to_json(rows), folder / "accuracy.json", as_json)
 
 
 @benchmarks.command("speed")
 @_frames
 @_seeds
+@_registration
 @options.out
 @options.as_json
-def bench_speed(frames: int, seeds: range, out: str | None, as_json: bool) -> int:
+def bench_speed(frames: int, seeds: range, registration: str, out: str | None, as_json: bool) -> int:
     """Compare the time of registration with other implementations, frame by frame."""
     from benchmarks.peers import chart, registration_speed, timing
 
+    options.check_plugin("registration", registration)
     folder = out_folder(out, "bench-speed")
-    timings, missing = registration_speed.registration(seeds, frames, open_progress(as_json).say)
+    timings, missing = registration_speed.registration(seeds, frames, open_progress(as_json).say, registration)
     chart.draw(folder / "speed.png", "Registration and other implementations", timings, missing)
     words, text = timing.in_words(timings, missing, registration_speed.HEADINGS), timing.to_json(timings, missing)
     return _tell_bench(words, text, folder / "speed.json", as_json)
@@ -56,14 +71,16 @@ def bench_speed(frames: int, seeds: range, out: str | None, as_json: bool) -> in
 @benchmarks.command("stages")
 @_frames
 @_seeds
+@options.plugin("foothold")
 @options.out
 @options.as_json
-def bench_stages(frames: int, seeds: range, out: str | None, as_json: bool) -> int:
+def bench_stages(frames: int, seeds: range, foothold: str, out: str | None, as_json: bool) -> int:
     """Compare the times of the mapping stages with other implementations."""
     from benchmarks.peers import chart, map_stages, timing
 
+    options.check_plugin("foothold", foothold)
     folder = out_folder(out, "bench-stages")
-    found = map_stages.stages(seeds, frames, open_progress(as_json).say)
+    found = map_stages.stages(seeds, frames, open_progress(as_json).say, foothold)
     chart.draw(folder / "stages.png", "Mapping stages and other implementations", found.timings, found.missing, found.parts_ms)
     words = f"{timing.in_words(found.timings, found.missing, map_stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
     text = timing.to_json(found.timings, found.missing, parts_ms=found.parts_ms)

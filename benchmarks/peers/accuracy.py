@@ -6,7 +6,8 @@ Messages pass through the codec. Results are compared with the ground truth.
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from benchmarks.peers import foothold_model
 from benchmarks.peers.full_frame import FullFrames
 from benchmarks.peers.scenes import MAPPED, REGISTERED, Scene
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
+from sextant.evaluation import params
 from sextant.evaluation.metrics.true_ground import INTERIOR, TrueGround, rms
 from sextant.evaluation.replay.listener import Listener
 from sextant.services.mapper.config import Settings as MapperSettings
@@ -33,6 +35,7 @@ from sextant.shared.wire.messages import TerrainMap
 
 Cells = NDArray[np.bool_]
 
+SEXTANT = "Sextant"
 _SETTLE_NS = 500_000_000  # simulated time after the last depth frame, for messages in transit
 _SURVEYED = 10  # scans per survey: the last survey of a ride has seen everything
 _REACH = 2  # cells by which noise may move a point out of view, in addition to the pose drift
@@ -63,25 +66,47 @@ class RideResult:
     full_coverage: float = math.nan  # share of the visible cells that are known
 
 
-def measure(scene: Scene, seed: int, errors: Errors | None = None, survey: bool = False) -> RideResult:
-    """Ride over a scene; the seed determines terrain, errors and noise.
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """Plug-in and parameters of perception and mapper that differ from Sextant's."""
 
-    With `survey`, a strip is surveyed, and full depth frames are mapped in addition to the scans.
+    registration: str = ""
+    params: Mapping[str, Any] = field(default_factory=dict)  # nested table, as a scenario's `[params]`
+
+    def words(self) -> str:
+        """Return the differences as text; Sextant's name without any."""
+        return ", ".join(filter(None, (self.registration, params.words(self.params)))) or SEXTANT
+
+
+def measure(
+    scene: Scene, seed: int, errors: Errors | None = None, survey: bool = False, variant: Variant = Variant()
+) -> RideResult:
+    """Ride over a scene.
+
+    Args:
+        scene: The ground.
+        seed: Random seed of terrain, errors and noise.
+        errors: Errors of the odometry.
+        survey: Whether to survey a strip, and to map full depth frames in addition to the scans.
+        variant: What differs from Sextant's own perception and mapper.
 
     Raises:
         RuntimeError: No map was published.
+        ServiceFailedError: A service or the plug-in failed.
     """
+    tuned = params.read(variant.params, "--set")
     rngs = [np.random.default_rng([seed, k]) for k in range(3)]
     way = ride(scene(rngs[0]), rngs[1], errors or Errors())
     camera = CarriedCamera(way, rngs[2])
     heard = Listener()
-    settings = PerceptionSettings(settle_s=0.0, scan_rate_hz=way.profile.camera.sensor.rate_hz)
+    seen = replace(tuned.perception, settle_s=0.0, scan_rate_hz=way.profile.camera.sensor.rate_hz)
+    settings = params.settings(PerceptionSettings, seen, registration=variant.registration)
+    mapped = params.settings(MapperSettings, replace(tuned.mapper, passage_every=_SURVEYED))
     makers: dict[str, Callable[[], Service]] = {
         "carried camera": lambda: camera,
         "perception": lambda: Perception(way.profile, settings),
-        "mapper": lambda: Mapper(way.profile, MapperSettings(passage_every=_SURVEYED)),
+        "mapper": lambda: Mapper(way.profile, mapped),
     }
-    mapped = MapperSettings()
     full = FullFrames(way.profile.camera, mapped.shape, mapped.resolution, settings.scan_range)
     if survey:
         makers["asker"] = foothold_model.Asker
@@ -182,15 +207,20 @@ class Row:
     rides: int
     found: int  # rides with a final error below 5 cm
     figures: dict[str, tuple[float, float]]  # name -> median and worst (largest; for coverage the least)
+    method: str = SEXTANT  # or what differs from it
 
 
-def tables(seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambda _: None) -> list[Row]:
-    """Return rows for all scenes and seeds.
+def tables(
+    seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambda _: None, variant: Variant = Variant()
+) -> list[Row]:
+    """Return rows for all scenes and seeds, each followed by that of the variant if there is one.
 
     Registration scenes are run with every odometry model.
     """
-    rows = [("registration", scene, legs) for scene in (*REGISTERED, *_SHOWING) for legs in LEGS]
-    rows += [("maps", scene, next(iter(LEGS))) for scene in MAPPED]
+    rides_of_tables = [("registration", scene, legs) for scene in (*REGISTERED, *_SHOWING) for legs in LEGS]
+    rides_of_tables += [("maps", scene, next(iter(LEGS))) for scene in MAPPED]
+    variants = [Variant()] if variant == Variant() else [Variant(), variant]
+    rows = [(*ride, one) for ride in rides_of_tables for one in variants]
     rides = [(*row, seed) for row in rows for seed in seeds]
     out: list[Row] = []
     results: list[RideResult] = []
@@ -198,16 +228,17 @@ def tables(seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambd
         results.append(result)
         if len(results) == len(seeds):
             found = sum(result.drift <= _FOUND for result in results)
-            out.append(Row(*rows[len(out)], len(seeds), found, medians(results)))
+            table, scene, legs, one = rows[len(out)]
+            out.append(Row(table, scene, legs, len(seeds), found, medians(results), one.words()))
             say(in_words(out[-1:]).splitlines()[2])
             results.clear()
     return out
 
 
-def _ride_by_name(table: str, scene: str, legs: str, seed: int) -> RideResult:
+def _ride_by_name(table: str, scene: str, legs: str, variant: Variant, seed: int) -> RideResult:
     if table == "registration":
-        return measure({**REGISTERED, **_SHOWING}[scene], seed, LEGS[legs])
-    return measure(MAPPED[scene], seed, LEGS[legs], survey=True)
+        return measure({**REGISTERED, **_SHOWING}[scene], seed, LEGS[legs], variant=variant)
+    return measure(MAPPED[scene], seed, LEGS[legs], survey=True, variant=variant)
 
 
 def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
@@ -255,14 +286,20 @@ _COLUMNS = {  # columns of each table: figure -> heading, factor, digits
 def in_words(rows: Sequence[Row]) -> str:
     """Return the tables as Markdown."""
     lines = []
+    varied = any(row.method != SEXTANT for row in rows)
+    wide = max((len(row.method) for row in rows), default=0) + 2
     for table, columns in _COLUMNS.items():
         chosen = [row for row in rows if table.startswith(row.table) and columns.keys() & row.figures.keys()]
         if not chosen:
             continue
         lines.append(f"{table}, median (worst) of {chosen[0].rides} rides of 2 m")
-        lines.append(f"  {'scene':<15} {'legs':<33}" + "".join(f"{heading:>20}" for heading, _, _ in columns.values()))
+        lines.append(
+            f"  {'scene':<15} {'legs':<33}"
+            + varied * f"{'method':<{wide}}"
+            + "".join(f"{heading:>20}" for heading, _, _ in columns.values())
+        )
         for row in chosen:
-            line = f"  {row.scene:<15} {row.legs:<33}"
+            line = f"  {row.scene:<15} {row.legs:<33}" + varied * f"{row.method:<{wide}}"
             for name, (_, factor, digits) in columns.items():
                 median, worst = row.figures.get(name, (math.nan, math.nan))
                 words = "-" if math.isnan(median) else f"{factor * median:.{digits}f} ({factor * worst:.{digits}f})"
@@ -278,6 +315,7 @@ def to_json(rows: Sequence[Row]) -> str:
             "table": row.table,
             "scene": row.scene,
             "legs": row.legs,
+            "method": row.method,
             "rides": row.rides,
             "found": row.found,
             **{name: {"median": round(m, 6), "worst": round(w, 6)} for name, (m, w) in row.figures.items()},

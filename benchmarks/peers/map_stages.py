@@ -20,12 +20,13 @@ from benchmarks.peers.score_peers import Layer, Scores
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
 from benchmarks.peers.timing import Race, Timing, held_against_first, installed, one_core
 from sextant.services.mapper.config import Settings as MapperSettings
-from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, ElevationSnapshot
 from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.mapper.footholds.hole_filling import fill_small_holes
 from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
 from sextant.services.mapper.footholds.params import FootholdMapParams, ScoreParams
+from sextant.services.mapper.footholds.plugin_rule import PluginRule
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.reduction.scan_reduction import ReducedScan, reduce_scan
@@ -35,7 +36,10 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.process_priority import keep_memory
 from sextant.shared.runtime.service import AnyTopic, Inbox, ServiceRunner, Stages
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import UNKNOWN, DepthImage, Odometry, Tick
+from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, DepthImage, Odometry, Tick
+
+_Scored = tuple[Layer, NDArray[np.int8] | None]  # score and evaluation function; a plug-in has no such function
+_Score = Callable[[Layer, NDArray[np.int64], ElevationSnapshot], _Scored]
 
 SCENES = ("steps", "boxes", "mixed")
 SIZES = (256, 512)  # cells along an edge
@@ -59,22 +63,27 @@ class Measured:
     parts_ms: dict[str, float]  # stage -> median of its time between frame and layers
 
 
-def stages(seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None) -> Measured:
+def stages(
+    seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None, plugin: str = ""
+) -> Measured:
     """Time the mapping stages.
 
-    Figures: `agreement`, share of known cells with equal results of peer and Sextant; `growth`, Sextant's time relative to that
-    on the smallest map; `made`, share of the frames that produced layers.
+    Figures: `agreement`, share of known cells with equal results of peer and Sextant, and for a plug-in of cells that both take
+    as a foothold, or neither; `growth`, Sextant's time relative to that on the smallest map; `made`, share of the frames that
+    produced layers.
 
     Args:
         seeds: One ride over each scene for each seed.
         frames: Frames of a ride.
         say: Called with the progress.
+        plugin: Name of a foothold rule that scores the maps, too; empty for none.
 
     Raises:
+        PluginError: The plug-in failed.
         ValueError: Fewer than three frames.
     """
     keep_memory()  # as in the services' processes
-    at_work = _Races(min(_WARM, frames - 1))
+    at_work = _Races(min(_WARM, frames - 1), plugin)
     with one_core():
         for scene in SCENES:
             for seed in seeds:
@@ -93,7 +102,8 @@ def stages(seeds: Sequence[int], frames: int = 100, say: Callable[[str], object]
 class _Races:
     """All jobs and their results."""
 
-    def __init__(self, warm: int):
+    def __init__(self, warm: int, plugin: str):
+        self._plugin = plugin
         self._reduce = Race("reduction", "640x480", warm)
         self._fuse = {n: Race("map update", f"{n}x{n}", warm) for n in SIZES}
         self._score = {n: Race("score chain", f"{n}x{n}", warm) for n in SIZES}
@@ -124,7 +134,9 @@ class _Races:
             self._fuse[n].start({OURS: _fused_into(ours_grid), "NumPy": _fused_by_numpy(peer)})
             whole, changed = (FootholdLayers((n, n), _RESOLUTION, _MARGIN, _WEIGHTS, _RULES) for _ in range(2))
             ours_scored = {OURS: _Anew(whole, n).layers, CHANGED: _Anew(changed, 0).layers}
-            self._score[n].start({**ours_scored, **{name: _without_place(peer) for name, peer in scores.items()}})
+            peers_scored = {name: _without_place(peer) for name, peer in scores.items()}
+            rules = {self._plugin: _by_rule(PluginRule(profile, self._plugin))} if self._plugin else {}
+            self._score[n].start({**ours_scored, **peers_scored, **rules})
         self._services = _Services(profile)
         self._whole.start({OURS: self._services.run})
 
@@ -135,8 +147,9 @@ class _Races:
         for n in SIZES:
             self._fuse[n].run(scan, T[:3, 3])
             grids = self._grids[n]
-            elevation = grids[OURS].snapshot().elevation
-            layers = self._score[n].run(fill_small_holes(elevation), grids[OURS].low)
+            snapshot = grids[OURS].snapshot()
+            elevation = snapshot.elevation
+            layers = self._score[n].run(fill_small_holes(elevation), grids[OURS].low, snapshot)
             if compare:
                 self._agree(self._fuse[n], {OURS: elevation, "NumPy": grids["NumPy"].elevation}, 1e-3 * _SAME_MM)
                 self._agree(self._score[n], {name: _same_where(layers[OURS], both) for name, both in layers.items()}, 0.5)
@@ -223,22 +236,29 @@ class _Anew:
         """
         self._layers, self._away, self._moved = layers, away, 0
 
-    def layers(self, elevation: Layer, low: NDArray[np.int64]) -> tuple[Layer, NDArray[np.int8]]:
+    def layers(self, elevation: Layer, low: NDArray[np.int64], _: ElevationSnapshot) -> _Scored:
         """Return score and evaluation function."""
         self._moved += self._away
         made = self._layers.update(elevation, np.zeros_like(elevation), low + self._moved)
         return made.score, made.evaluation
 
 
-def _without_place(peer: Scores) -> Callable[[Layer, NDArray[np.int64]], tuple[Layer, NDArray[np.int8]]]:
-    return lambda elevation, _: peer.layers(elevation)
+def _without_place(peer: Scores) -> _Score:
+    return lambda elevation, _low, _snapshot: peer.layers(elevation)
 
 
-def _same_where(ours: tuple[Layer, NDArray[np.int8]], other: tuple[Layer, NDArray[np.int8]]) -> Array:
-    """Compare both layers.
+def _by_rule(rule: PluginRule) -> _Score:
+    return lambda _elevation, _low, snapshot: (rule.score(snapshot), None)
+
+
+def _same_where(ours: _Scored, other: _Scored) -> Array:
+    """Compare both layers; of a plug-in only whether it takes the same cells as footholds.
 
     Return 1 where both are equal, 0 where one is not, NaN where the cell is unknown.
     """
+    if other[1] is None:
+        same = (ours[0] <= MAX_FOOTHOLD_SCORE) == (other[0] <= MAX_FOOTHOLD_SCORE)
+        return np.where(ours[1] == UNKNOWN, np.nan, same)
     score = np.isclose(other[0], ours[0], atol=_SAME_SCORE, equal_nan=True)
     return np.where(ours[1] == UNKNOWN, np.nan, score & (other[1] == ours[1]))
 

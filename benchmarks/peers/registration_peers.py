@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.perception.registration import frame_registration
 from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.shared.geometry import Array, exp_so3, transform
@@ -33,11 +34,15 @@ class RegistrationMethod(Protocol):
         ...
 
 
-class _Ours:
-    def __init__(self, registration: Registration | KissRegistration) -> None:
+class Registered:
+    """A registration of Sextant's perception, its own or a plug-in's."""
+
+    def __init__(self, registration: frame_registration.RegistrationMethod):
+        """Use a registration."""
         self._registration = registration
 
     def update(self, depth: NDArray[np.uint16], index: int, T_prior: Array, covariance: Array) -> Array:
+        """Return the pose (4, 4) of the next frame."""
         return self._registration.update(depth, index, T_prior, covariance).T_world_camera
 
 
@@ -154,8 +159,8 @@ def _centroids(points: Array, voxel: float) -> Array:
 
 
 METHODS: Mapping[str, Callable[[Intrinsics, DepthSensor], RegistrationMethod]] = {
-    "projective (default)": lambda i, s: _Ours(Registration(i, s)),
-    "kiss-icp": lambda i, s: _Ours(KissRegistration(i, s)),
+    "projective (default)": lambda i, s: Registered(Registration(i, s)),
+    "kiss-icp": lambda i, s: Registered(KissRegistration(i, s)),
     "small_gicp VGICP": _Vgicp,
     "Open3D": _Open3d,
     "thesis ICP": _Thesis,

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers.registration_peers import METHODS, RegistrationMethod
+from benchmarks.peers.registration_peers import METHODS, Registered, RegistrationMethod
 from benchmarks.peers.scenes import REGISTERED
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
 from benchmarks.peers.timing import Race, Timing, installed, one_core
 from sextant.services.perception.config import Settings
+from sextant.services.perception.registration.plugin_registration import PluginRegistration
 from sextant.shared.geometry import Array, inverse
 
 _WARM = 5  # untimed frames at the start, if there are more
@@ -35,14 +36,15 @@ class _Tracked:
 
 
 def registration(
-    seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None
+    seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None, plugin: str = ""
 ) -> tuple[list[Timing], list[str]]:
     """Time all methods of registration on all scenes.
 
     Return the timings, and which methods cannot be timed and why. The figure `drift_m` [m] is the position error at the end,
-    the median over the seeds.
+    the median over the seeds. A plug-in is one more method.
 
     Raises:
+        PluginError: The plug-in failed.
         ValueError: Fewer than three frames.
     """
     out, missing = list[Timing](), list[str]()
@@ -54,6 +56,8 @@ def registration(
                 rngs = [np.random.default_rng([seed, k]) for k in range(3)]
                 way = ride(REGISTERED[scene](rngs[0]), rngs[1], Errors(), frames, _STEP * frames)
                 methods, missing = installed(METHODS, way.profile.camera.intrinsics, way.profile.camera.sensor)
+                if plugin:
+                    methods[plugin] = Registered(PluginRegistration(way.profile, plugin))
                 tracked = {name: _Tracked(method, way.T_world_camera[0]) for name, method in methods.items()}
                 race.start(tracked)
                 camera = CarriedCamera(way, rngs[2])

@@ -175,11 +175,12 @@ def in_words(timings: Sequence[Timing], missing: Sequence[str], headings: Mappin
     """
     lines = [machine_in_words(), "time of the core, median (10th to 90th percentile); ratio to the first of each group"]
     columns = "".join(f"{heading:>12}" for heading, _, _ in headings.values())
-    lines.append(f"{'stage':<18}{'case':<16}{'method':<22}{'ms':>28}{'ratio':>28}{columns}")
+    wide = max(22, *(len(t.method) + 2 for t in timings))
+    lines.append(f"{'stage':<18}{'case':<16}{'method':<{wide}}{'ms':>28}{'ratio':>28}{columns}")
     for t in timings:
         ms = f"{t.ms.median:.2f} ({t.ms.p10:.2f} to {t.ms.p90:.2f})"
         ratio = f"{t.ratio.median:.2f} ({t.ratio.p10:.2f} to {t.ratio.p90:.2f})"
-        line = f"{t.stage:<18}{t.case:<16}{t.method:<22}{ms:>28}{ratio:>28}"
+        line = f"{t.stage:<18}{t.case:<16}{t.method:<{wide}}{ms:>28}{ratio:>28}"
         for name, (_, factor, digits) in headings.items():
             line += f"{factor * t.figures[name]:>12.{digits}f}" if name in t.figures else f"{'':>12}"
         lines.append(line.rstrip())

@@ -1,7 +1,7 @@
 """Options and types of values that several commands share."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from sextant.deploy.terminal.arguments import Choice, flag, number, option, opti
 _Function = Callable[..., Any]
 
 if TYPE_CHECKING:
-    from sextant.shared.plugins.loading import Plugins
+    from sextant.shared.plugins.loading import Kind, Plugins
     from sextant.shared.scenario.scenario import Link, Scenario
     from sextant.shared.wire.messages import GaitName
     from sextant.shared.wire.transport import Endpoints
@@ -172,13 +172,36 @@ class Variant:
         return apply
 
     def _plugins(self) -> "Plugins":
-        """Return the plug-ins, each loaded once to see that it can be."""
-        from sextant.shared.plugins.loading import KINDS, Plugins, load
+        from sextant.shared.plugins.loading import KINDS, Plugins
 
         for kind in KINDS:
-            if name := getattr(self, kind):
-                load(kind, name)
+            check_plugin(kind, getattr(self, kind))
         return Plugins(self.planner, self.foothold, self.registration)
+
+
+_PLUGINS: "Mapping[Kind, str]" = {
+    "planner": "that plans steps",
+    "foothold": "that scores footholds",
+    "registration": "that estimates the camera pose",
+}
+
+
+def plugin(kind: "Kind") -> Callable[[_Function], _Function]:
+    """Return the option of a kind of plug-in."""
+    about = f"plug-in {_PLUGINS[kind]}, as package.module:Object or an entry point's name"
+    return option(f"--{kind}", about, "PLUGIN", default="")
+
+
+def check_plugin(kind: "Kind", name: str) -> None:
+    """Load a plug-in, if one is named, to see that it can be.
+
+    Raises:
+        PluginError: It cannot be loaded.
+    """
+    from sextant.shared.plugins.loading import load
+
+    if name:
+        load(kind, name)
 
 
 variant = options_of(
@@ -193,14 +216,9 @@ variant = options_of(
         default="",
     ),
     params,
-    *(
-        option(f"--{kind}", f"plug-in {what}, as package.module:Object or an entry point's name", "PLUGIN", default="")
-        for kind, what in (
-            ("planner", "that plans steps"),
-            ("foothold", "that scores footholds"),
-            ("registration", "that estimates the camera pose"),
-        )
-    ),
+    plugin("planner"),
+    plugin("foothold"),
+    plugin("registration"),
 )
 
 

@@ -136,9 +136,15 @@ def _progress(listening: "LiveRecorder", elapsed_s: float, endpoint: str) -> str
 @option("--rerun", "output file for the rerun viewer", "FILE.rrd")
 @option("--tum", "output file for the body's trajectory in the TUM format; the true one goes to FILE_true", "FILE.txt")
 @option("--map", "output file for the merged height maps, with their place in FILE.json", "FILE.npy", into="map_file")
-def export(path: str, rerun: str | None, tum: str | None, map_file: str | None) -> int:
+@option("--grid-map", "output file for these maps as a GridMap of ROS 2", "FILE.mcap")
+def export(path: str, rerun: str | None, tum: str | None, map_file: str | None, grid_map: str | None) -> int:
     """Write a recording in other tools' formats."""
-    wanted = {"--rerun": (rerun, ".rrd"), "--tum": (tum, ".txt"), "--map": (map_file, ".npy")}
+    wanted = {
+        "--rerun": (rerun, ".rrd"),
+        "--tum": (tum, ".txt"),
+        "--map": (map_file, ".npy"),
+        "--grid-map": (grid_map, ".mcap"),
+    }
     for name, (given, suffix) in wanted.items():
         if given is not None and Path(given).suffix != suffix:
             raise InputError(f"{name}: a file that ends in {suffix} expected, found {given}")
@@ -156,7 +162,20 @@ def export(path: str, rerun: str | None, tum: str | None, map_file: str | None) 
 
         nx, ny = export_map(Path(path), Path(map_file))
         say(f"{map_file}: {nx} x {ny} heights; {Path(map_file).with_suffix('.json')}: where they are")
+    if grid_map:
+        _export_grid_map(path, Path(grid_map))
     return SUCCESS
+
+
+def _export_grid_map(path: str, target: Path) -> None:
+    try:
+        from sextant.deploy.ros2 import grid_map_file
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed: pip install 'sextant[ros2]'") from None
+    if target.exists() and Path(path) in (target, target.parent):
+        raise InputError(f"--grid-map: a file other than the recording's expected, found {target}")
+    nx, ny = grid_map_file.export_grid_map(Path(path), target)
+    say(f"{target}: a GridMap of {nx} x {ny} heights on {grid_map_file.TOPIC}; `ros2 bag play {target}` publishes it")
 
 
 def _export_to_rerun(path: str, target: Path) -> None:

@@ -4,6 +4,8 @@ Frames follow REP 105: {world} is `map`, {odom} is `odom`, {body} is `base_link`
 forward, y left, z up, metres and radians. The camera frame is an optical frame: z forward, x right, y down.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,15 +111,22 @@ def grid_map(terrain: TerrainMap, at_ns: int) -> ros.GridMap:
     Layers: `elevation` [m], `variance` [m^2], `score` (0 best, above 1 no foothold) and `evaluation` (Masri's function [cells],
     negative where a foot may stand). In a GridMap cell (0, 0) lies at the largest x and y, rows go along x, columns along y.
     """
-    nx, ny = terrain.elevation.shape
-    edge = terrain.resolution
-    middle = terrain.origin + 0.5 * edge * (np.array([nx, ny]) - 1)
     layers = {
         "elevation": terrain.elevation,
         "variance": terrain.variance,
         "score": terrain.score,
         "evaluation": np.where(terrain.evaluation == UNKNOWN, np.nan, terrain.evaluation),
     }
+    return grid_map_of(layers, terrain.origin, terrain.resolution, at_ns)
+
+
+def grid_map_of(layers: Mapping[str, NDArray[np.floating]], origin: Array, edge: float, at_ns: int) -> ros.GridMap:
+    """Make a grid_map_msgs/msg/GridMap in `map` of layers (nx, ny), `elevation` among them.
+
+    Cell (0, 0) of a layer is centred at an origin (2,) [m], and cells have an edge [m].
+    """
+    nx, ny = layers["elevation"].shape
+    middle = origin + 0.5 * edge * (np.array([nx, ny]) - 1)
     return ros.GridMap(
         header=header(at_ns, MAP),
         info=ros.GridMapInfo(
@@ -134,7 +143,7 @@ def grid_map(terrain: TerrainMap, at_ns: int) -> ros.GridMap:
     )
 
 
-def _float_array(layer: NDArray[np.float32] | NDArray[np.float64]) -> ros.Float32MultiArray:
+def _float_array(layer: NDArray[np.floating]) -> ros.Float32MultiArray:
     """Make a std_msgs/msg/Float32MultiArray of cells (nx, ny).
 
     The order is column by column, from the largest x and y on.

@@ -59,6 +59,12 @@ GridMapInfo: Any = _STORE.types["grid_map_msgs/msg/GridMapInfo"]
 GridMap: Any = _STORE.types["grid_map_msgs/msg/GridMap"]
 
 
+def definition(kind: str) -> str:
+    """Return the definition of a type with all that it contains, as recordings store it."""
+    text, _ = _STORE.generate_msgdef(kind, ros_version=2)
+    return str(text)
+
+
 class CdrError(ValueError):
     """Bytes are not the expected message; the text states why."""
 

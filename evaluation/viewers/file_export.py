@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,16 @@ def _ascending(poses: Iterable[tuple[int, Array]]) -> tum.Trajectory:
     return tum.Trajectory(np.array(times) * 1000, np.array([by_time[time] for time in times]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MergedMap:
+    """Merged maps of a recording; cell (i, j) is centred at origin + resolution * (i, j)."""
+
+    heights: NDArray[np.float32]  # (nx, ny) [m], NaN where never seen
+    origin: Array  # (2,) [m] {world}
+    resolution: float  # [m]
+    stamp_ns: int  # [ns] of the newest map
+
+
 def export_map(source: Path, target: Path) -> tuple[int, int]:
     """Write the merged maps of a recording as heights (nx, ny) [m] in a .npy file, and its place as JSON next to it.
 
@@ -66,6 +77,25 @@ def export_map(source: Path, target: Path) -> tuple[int, int]:
         RecordingError: `source` is not a recording, or has no map.
         WriteError: A file cannot be written.
     """
+    found = merged_map(source)
+    about = {
+        "resolution_m": found.resolution,
+        "origin_m": found.origin.round(9).tolist(),
+        "frame": "world",
+        "shape": found.heights.shape,
+        "cell": "cell (i, j) is centred at origin_m + resolution_m * (i, j); NaN where never seen",
+    }
+    whole_files.write_by_name(target, lambda path: np.save(path, found.heights))
+    whole_files.write_text(target.with_suffix(".json"), json.dumps(about, indent=1) + "\n")
+    return found.heights.shape
+
+
+def merged_map(source: Path) -> MergedMap:
+    """Return the merged maps of a recording.
+
+    Raises:
+        RecordingError: `source` is not a recording, or has no map.
+    """
     maps: list[TerrainMap] = []
     for _, message, _ in Recording(source).messages((topics.TERRAIN,)):
         if isinstance(message, TerrainMap):
@@ -74,17 +104,7 @@ def export_map(source: Path, target: Path) -> tuple[int, int]:
             maps.append(message)
     if not maps:
         raise RecordingError(f"{source}: no map of {topics.TERRAIN.key} in this recording")
-    heights, origin = merged(maps)
-    about = {
-        "resolution_m": maps[-1].resolution,
-        "origin_m": origin.round(9).tolist(),
-        "frame": "world",
-        "shape": heights.shape,
-        "cell": "cell (i, j) is centred at origin_m + resolution_m * (i, j); NaN where never seen",
-    }
-    whole_files.write_by_name(target, lambda path: np.save(path, heights))
-    whole_files.write_text(target.with_suffix(".json"), json.dumps(about, indent=1) + "\n")
-    return heights.shape
+    return MergedMap(*merged(maps), maps[-1].resolution, maps[-1].stamp_ns)
 
 
 def merged(maps: Iterable[TerrainMap]) -> tuple[NDArray[np.float32], Array]:

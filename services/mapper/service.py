@@ -14,11 +14,10 @@ from sextant.services.mapper.elevation.scan_admission import ScanAdmission
 from sextant.services.mapper.elevation.start_ground import assume_start_ground
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
 from sextant.services.mapper.footholds.layers import FootholdLayers, Layers, body_height_and_sigma
+from sextant.services.mapper.footholds.plugin_rule import PluginRule
 from sextant.services.mapper.footholds.terrain_type_mapping import TerrainTypeMapping, without_hazards
 from sextant.services.mapper.passage_map.passage_survey import PassageSurvey, empty_passage_map
 from sextant.shared.geometry import Array
-from sextant.shared.plugins.foothold_rule import ElevationMap, checked_score
-from sextant.shared.plugins.loading import Plugin
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
@@ -47,7 +46,7 @@ class Mapper:
         self._model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx, settings.elevation)
         self._grid = self._unseen_grid()
         self._layers = FootholdLayers.of(shape, resolution, foot_radius_m, settings.footholds, profile.camera.color)
-        self._rule = Plugin.make("foothold", settings.foothold_rule, profile) if settings.foothold_rule else None
+        self._rule = PluginRule(profile, settings.foothold_rule) if settings.foothold_rule else None
         self._admission = ScanAdmission()
         self._feet = FootEvidence(foot_radius_m, resolution)
         self._types = TerrainTypeMapping(settings, foot_radius_m)
@@ -181,12 +180,8 @@ class Mapper:
         """Return the score (nx, ny) of the map: Lotriet's, or that of the plug-in."""
         if self._rule is None:
             return layers.score
-        elevation, variance, origin = snapshot.elevation.copy(), snapshot.variance.copy(), snapshot.origin.copy()
-        for array in (elevation, variance, origin):
-            array.setflags(write=False)
-        ground = ElevationMap(elevation, variance, origin, snapshot.resolution, self._profile.foot.radius)
         with self.stages("foothold plug-in"):
-            return self._rule.call(lambda rule: checked_score(rule(ground), self._settings.shape))
+            return self._rule.score(snapshot)
 
     def _map_passage(self, scan: Scan, pose: BodyPose | None, inbox: Inbox) -> Iterator[PassageMap]:
         """Merge the scan into the requested passage map; publish it every `passage_every` scans."""

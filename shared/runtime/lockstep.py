@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 from sextant.shared.errors import SextantError
 from sextant.shared.runtime.service import AnyTopic, Every, Service, ServiceRunner
@@ -36,14 +36,14 @@ class ServiceFailedError(SextantError, RuntimeError):
 
     exit_status = 1
 
-    def __init__(self, service: str, error: Exception):
+    @classmethod
+    def of(cls, service: str, error: Exception) -> Self:
         """Compose the message from the service, the exception and the line that raised it."""
         if isinstance(error, SextantError):  # its message says all
-            super().__init__(f"{service} failed: {error}")
-            return
+            return cls(f"{service} failed: {error}")
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-        super().__init__(f"{service} failed: {type(error).__name__}: {error}{place}")
+        return cls(f"{service} failed: {type(error).__name__}: {error}{place}")
 
 
 class Radio(Protocol):
@@ -170,7 +170,7 @@ class Lockstep:
         try:
             act()
         except Exception as error:
-            raise ServiceFailedError(name, error) from error
+            raise ServiceFailedError.of(name, error) from error
         finally:
             self._show()
 

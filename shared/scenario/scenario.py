@@ -244,15 +244,20 @@ class Rubble:
 
 @dataclass(frozen=True, slots=True)
 class HeightMap:
-    """Measured ground from a .npy or .png file.
+    """Measured ground from a .npy, .png or .mcap file.
 
     A .npy file has heights in metres; NaN (unknown) is filled with the lowest height. The heights of a .png file are grey
-    values times `scale`. `rows`, `columns` and `quarter_turns` crop the map and then rotate it.
+    values times `scale`. A .mcap file is a recording of ROS 2 with a grid_map_msgs/GridMap, of which the newest is taken; it
+    brings its resolution and position. `rows`, `columns` and `quarter_turns` crop the map and then rotate it.
     """
 
     file: str  # relative to the scenario file, absolute, or in the folder of an environment variable: "$FOLDER/map.npy"
-    resolution: float  # [m] cell edge
-    xy: tuple[float, float]  # [m] position of cell (0, 0) of the cropped and rotated map; rows run along x
+    resolution: float | None = None  # [m] cell edge; required, but for .mcap
+    xy: tuple[float, float] | None = (
+        None  # [m] position of cell (0, 0) of the cropped and rotated map; required, but for .mcap; rows run along x
+    )
+    layer: str = "elevation"  # layer of the grid map in a .mcap file
+    topic: str = ""  # topic of the grid map in a .mcap file; needed if there are several
     kind: Literal["height_map"] = "height_map"
     scale: float | None = None  # factor of the heights, by default 1; required for .png: [m] per grey value
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
@@ -262,15 +267,26 @@ class HeightMap:
     quarter_turns: int = 0  # of the cropped map, counterclockwise as seen from above
 
     checks = (
-        *_bounded("xy", 1000, "m"),
+        *config.each("xy", lambda one: one is None or abs(one) <= 1000, "-1000 to 1000 m"),
         *_bounded("base", 100, "m"),
-        *config.each("resolution", lambda edge: 0.001 <= edge <= 10, "0.001 to 10 m"),
+        *config.each("resolution", lambda edge: edge is None or 0.001 <= edge <= 10, "0.001 to 10 m"),
         *config.each("scale", lambda scale: scale is None or 0 < scale <= 1000, "more than 0 and at most 1000"),
     )
 
     def __post_init__(self) -> None:
         for name, taken in (("rows", self.rows), ("columns", self.columns)):
             _expect(taken is None or 0 <= taken[0] < taken[1] - 1, f"{name} from 0 on, two at least", taken)
+        for name in ("resolution", "xy"):
+            if not self.is_grid_map:
+                _expect(getattr(self, name) is not None, f"{name} of the map", "none")
+        if self.is_grid_map and self.xy is None:
+            moved = self.rows is not None or self.columns is not None or self.quarter_turns % 4 != 0
+            _expect(not moved, "xy of the cropped or rotated map", "none")
+
+    @property
+    def is_grid_map(self) -> bool:
+        """Whether the file is a recording with a grid map."""
+        return self.file.lower().endswith(".mcap")
 
     def path(self, folder: Path) -> Path:
         """Return the path of the file.

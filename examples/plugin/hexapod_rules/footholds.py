@@ -1,5 +1,7 @@
 """A foothold rule: the ground under and around the foot is nearly level."""
 
+from functools import reduce
+
 import numpy as np
 
 from sextant.plugins import ElevationMap
@@ -12,5 +14,13 @@ def relief(ground: ElevationMap):
     """Return the difference of heights around each cell (nx, ny), as a share of the largest that is allowed."""
     n = max(1, round(AROUND / ground.resolution))
     padded = np.pad(ground.elevation, n, constant_values=np.nan)  # unknown ground is no foothold
-    patches = np.lib.stride_tricks.sliding_window_view(padded, (2 * n + 1, 2 * n + 1))
-    return (patches.max(axis=(2, 3)) - patches.min(axis=(2, 3))) / FLAT
+    return (over_square(np.maximum, padded, 2 * n + 1) - over_square(np.minimum, padded, 2 * n + 1)) / FLAT
+
+
+def over_square(of_two, cells, n: int):
+    """Combine the cells of each n x n square, first along one axis, then along the other."""
+    for axis in (0, 1):
+        rows = np.moveaxis(cells, axis, 0)
+        shifted = [rows[k : len(rows) - n + 1 + k] for k in range(n)]
+        cells = np.moveaxis(reduce(of_two, shifted), 0, axis)
+    return cells

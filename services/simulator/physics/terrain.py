@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,9 @@ from sextant.shared.scenario.scenario import (
     Stretch,
 )
 from sextant.shared.scenario.scenario import Terrain as Primitive
+
+if TYPE_CHECKING:
+    from sextant.shared.recording.grid_map import GridMapLayer
 
 DEPTH = 0.5  # [m] extent of rubble and height fields below the ground
 _BATCH = 256  # number of rubble candidates per draw
@@ -591,15 +594,7 @@ def _height_field(part: HeightMap, folder: Path) -> HeightField:
     path = part.path(folder)
     if not path.exists():
         raise ValueError(f"height map {str(path)!r} expected, found no such file; name it relative to the scenario file")
-    kind, scale = path.suffix.lower(), part.scale
-    if kind == ".npy":
-        stored, scale = array_file.read_numbers(path), 1.0 if scale is None else scale
-    elif kind != ".png":
-        raise ValueError(f"a height map in .npy or .png expected, found {part.file!r}")
-    elif scale is None:
-        raise ValueError(f"{path}: scale expected (metres per grey value), e.g. scale = 0.001; found none")
-    else:
-        stored = np.asarray(picture_file.read_grey(path, bits=(8, 16)), dtype=np.float64)
+    stored, scale, resolution, xy = _stored(path, part)
     with np.errstate(over="ignore"):  # infinite heights are rejected below
         heights = _taken(stored, part) * scale + part.base
     known = ~np.isnan(heights)
@@ -609,7 +604,34 @@ def _height_field(part: HeightMap, folder: Path) -> HeightField:
     if not -_MAX_HEIGHT_M <= low <= high <= _MAX_HEIGHT_M:
         limits = f"heights within {_MAX_HEIGHT_M:g} m of 0"
         raise ValueError(f"{path}: {limits} expected, found {low:g} to {high:g} m; set scale and base")
-    return HeightField(np.where(known, heights, low), part.resolution, part.xy)
+    return HeightField(np.where(known, heights, low), resolution, xy)
+
+
+def _stored(path: Path, part: HeightMap) -> tuple[Array, float, float, tuple[float, float]]:
+    """Return the heights of a file, their scale, and the map's resolution [m] and position [m]."""
+    scale = 1.0 if part.scale is None else part.scale
+    if part.is_grid_map:
+        grid = _grid_map(path, part)
+        x, y = grid.origin.tolist() if part.xy is None else part.xy
+        return grid.values.astype(np.float64), scale, part.resolution or grid.resolution, (x, y)
+    assert part.resolution is not None  # both are checked when the scenario is read
+    assert part.xy is not None
+    if path.suffix.lower() == ".npy":
+        return array_file.read_numbers(path), scale, part.resolution, part.xy
+    if path.suffix.lower() != ".png":
+        raise ValueError(f"a height map in .npy, .png or .mcap expected, found {part.file!r}")
+    if part.scale is None:
+        raise ValueError(f"{path}: scale expected (metres per grey value), e.g. scale = 0.001; found none")
+    grey = np.asarray(picture_file.read_grey(path, bits=(8, 16)), dtype=np.float64)
+    return grey, scale, part.resolution, part.xy
+
+
+def _grid_map(path: Path, part: HeightMap) -> "GridMapLayer":
+    try:
+        from sextant.shared.recording.grid_map import read_grid_map
+    except ImportError as error:
+        raise ValueError(f"{path}: a grid map needs {error.name}: pip install 'sextant[recording]'") from None
+    return read_grid_map(path, part.layer, part.topic)
 
 
 def _taken(heights: Array, part: HeightMap) -> Array:

@@ -118,7 +118,7 @@ def test_accuracy_command_writes_tables(
 ) -> None:
     asked: list[tuple[object, int, Errors]] = []
 
-    def measure(scene: object, seed: int, errors: Errors, survey: bool = False) -> accuracy.RideResult:
+    def measure(scene: object, seed: int, errors: Errors, survey: bool = False, variant: object = None) -> accuracy.RideResult:
         asked.append((scene, seed, errors))
         return accuracy.RideResult(0.002 * (seed - 999), 0.1, 0, 0.01, 0.002, 0.001, 0.005, 0.97, 0)
 
@@ -130,15 +130,62 @@ def test_accuracy_command_writes_tables(
     assert len(asked) == 2 * len(rows)
     assert rows[0]["drift"] == {"median": 0.003, "worst": 0.004}
     assert "3.0 (4.0)" in capsys.readouterr().out
+    plugin = ("--registration", "tests.support.plugins:Shifted", "--set", "mapper.publish_every=1")
+    assert cli.main(["accuracy", "--seeds", "1000:1001", "--out", str(tmp_path), *plugin]) == 0
+    beside = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
+    assert len(beside) == 2 * len(rows)
+    assert [row["method"] for row in beside[:2]] == ["Sextant", "tests.support.plugins:Shifted, mapper.publish_every=1"]
+
+
+@pytest.mark.slow
+def test_accuracy_of_plugin_is_that_of_its_poses() -> None:
+    found = accuracy.measure(REGISTERED["stairs"], 1000, variant=accuracy.Variant("tests.support.plugins:LegsAlone"))
+    assert found.drift == pytest.approx(found.legs_drift, abs=0.01)
+    assert found.legs_drift > 0.09
+    assert found.refused == 0
+
+
+@pytest.mark.slow
+def test_failing_plugin_ends_accuracy_with_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plugin = "tests.support.plugins:BrokenAtFrame"
+    assert cli.main(["accuracy", "--registration", plugin, "--out", str(tmp_path), "--seeds", "1000:1001"]) == 1
+    *progress, said = capsys.readouterr().err.splitlines()
+    where = f"perception failed: plug-in {plugin} failed: RuntimeError: no licence (plugins.py:"
+    assert said.startswith(f"python -m benchmarks accuracy: {where}")
+    assert not any("Traceback" in line for line in progress)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["speed", "--registration", "nobody:X"], "there is no module nobody"),
+        (["accuracy", "--registration", "tests.support.plugins:Shifty"], "has no Shifty; did you mean 'Shifted'?"),
+        (
+            ["stages", "--foothold", "relief of mine"],
+            "--foothold: package.module:Object or the name of an entry point expected",
+        ),
+        (
+            ["accuracy", "--set", "planner.step.handover_s=0.6"],
+            "a parameter of perception or mapper expected, found one of planner",
+        ),
+        (["accuracy", "--set", "mapper.colour=1"], "mapper.colour: unknown key"),
+    ],
+)
+def test_wrong_plugin_or_parameter_is_refused_before_measuring(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_speed_command_writes_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     methods = ("projective (default)", "kiss-icp")
     monkeypatch.setattr(registration_speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
     monkeypatch.setattr(registration_speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
-    assert cli.main(["speed", "--seeds", "1000:1001", "--frames", "14", "--out", str(tmp_path)]) == 0
+    plugin = "tests.support.plugins:Shifted"
+    assert cli.main(["speed", "--seeds", "1000:1001", "--frames", "14", "--registration", plugin, "--out", str(tmp_path)]) == 0
     table = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))
-    assert [row["method"] for row in table["timings"]] == list(methods)
+    assert [row["method"] for row in table["timings"]] == [*methods, plugin]
     assert table["timings"][0]["ratio"] == {"median": 1.0, "p10": 1.0, "p90": 1.0}
     for row in table["timings"]:
         assert row["drift_m"] < 0.05
@@ -196,7 +243,9 @@ def test_stages_command_writes_timings_and_picture(
     monkeypatch.setattr(reduction_peers, "REDUCTION", {"NumPy": reduction_peers.NumpyReduction})
     monkeypatch.setattr(score_peers, "SCORE", {"OpenCV + NumPy": score_peers.OpencvChain, "elsewhere": absent})
     cores = os.sched_getaffinity(0)
-    assert cli.main(["stages", "--seeds", "1000:1001", "--frames", "4", "--out", str(tmp_path), "--json"]) == 0
+    rule = "tests.support.plugins:all_good"
+    words = ["stages", "--seeds", "1000:1001", "--frames", "4", "--foothold", rule, "--out", str(tmp_path), "--json"]
+    assert cli.main(words) == 0
     assert os.sched_getaffinity(0) == cores
     table = json.loads(capsys.readouterr().out)
     assert table == json.loads((tmp_path / "stages.json").read_text(encoding="utf-8"))
@@ -207,6 +256,7 @@ def test_stages_command_writes_timings_and_picture(
         assert rows["map update", size, "NumPy"]["agreement"] > 0.99
         assert rows["score chain", size, "OpenCV + NumPy"]["agreement"] > 0.99
         assert rows["score chain", size, "Sextant, changes only"]["agreement"] > 0.99
+        assert 0.3 < rows["score chain", size, rule]["agreement"] < 1.0  # the cells that are footholds by our score, too
     assert rows["map update", "512x512", "Sextant"]["growth"] > 0.0
     assert rows["frame to layers", "256x256", "Sextant"]["made"] == 1.0
     assert {"registration", "reduction", "fuse", "score"} <= table["parts_ms"].keys()

@@ -3,9 +3,11 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from sextant.deploy import cli
 from sextant.evaluation.viewers.file_export import export_map, export_trajectories, merged
@@ -100,6 +102,35 @@ xy = {about["origin_m"]}
     np.testing.assert_allclose(ground.height_at(xy), heights[ij[:, 0], ij[:, 1]], atol=1e-6)
 
 
+def test_exported_grid_map_is_ground(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    heights = np.random.default_rng(0).uniform(0, 0.05, (30, 20)).astype(np.float32)
+    source = recording(tmp_path / "r.mcap", [terrain(2 * S, (-0.1, -0.05), heights)])
+    target = tmp_path / "map.mcap"
+    assert cli.main(["recording", "export", str(source), "--grid-map", str(target)]) == 0
+    assert "a GridMap of 30 x 20 heights on /terrain" in capsys.readouterr().out
+    with AnyReader([target]) as reader:  # by the definitions in the file
+        ((channel, _, data),) = reader.messages()
+        message: Any = reader.deserialize(data, channel.msgtype)
+    assert (channel.topic, message.layers, message.info.length_x) == ("/terrain", ["elevation"], pytest.approx(0.3))
+    stored = message.data[0].data.reshape(20, 30).T  # column by column, from the largest x and y on
+    np.testing.assert_array_equal(stored[::-1, ::-1], heights)
+    (tmp_path / "again.toml").write_text(
+        'name = "again"\n[goal]\ndistance = 0.1\n[[terrain]]\nkind = "height_map"\nfile = "map.mcap"\n'
+    )
+    ground = build_terrain(load_scenario(str(tmp_path / "again.toml")), np.random.default_rng(0))
+    ij = np.random.default_rng(1).integers(1, 19, (50, 2))
+    xy = np.array([-0.1, -0.05]) + 0.01 * ij
+    np.testing.assert_allclose(ground.height_at(xy), heights[ij[:, 0], ij[:, 1]], atol=1e-6)
+
+
+def test_grid_map_does_not_replace_its_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = recording(tmp_path / "r.mcap", [terrain(0, (0.0, 0.0), np.zeros((4, 4)))])
+    before = source.read_bytes()
+    assert cli.main(["recording", "export", str(source), "--grid-map", str(source)]) == 2
+    assert "--grid-map: a file other than the recording's expected" in capsys.readouterr().err
+    assert source.read_bytes() == before
+
+
 def test_recording_without_poses_or_maps_is_refused(tmp_path: Path) -> None:
     source = recording(tmp_path / "r.mcap", [truth(*poses(1, 1)[0])])
     with pytest.raises(RecordingError, match="no pose of perception/pose"):
@@ -111,7 +142,7 @@ def test_recording_without_poses_or_maps_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "at least one of --rerun, --tum, --map expected, found none"),
+        ([], "at least one of --rerun, --tum, --map, --grid-map expected, found none"),
         (["--tum", "walk.csv"], "--tum: a file that ends in .txt expected, found walk.csv"),
         (["--map", "map.png"], "--map: a file that ends in .npy expected, found map.png"),
         (["--tum", "walk.txt"], "gone.mcap"),

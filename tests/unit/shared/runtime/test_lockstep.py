@@ -1,5 +1,6 @@
 """Services in one process on simulated time."""
 
+import pickle
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -222,6 +223,7 @@ def test_service_exception_names_service_and_line(trigger: Any) -> None:
         run.run(50 * MS)
     assert isinstance(caught.value.__cause__, IndexError)
     assert tap.frames[-1][0] == VELOCITY.key, "what it had sent before was seen"
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)  # a worker process passes it on
 
 
 def test_tap_exception_is_not_attributed_to_service() -> None:

@@ -233,7 +233,7 @@ def test_unreadable_height_maps_are_refused(tmp_path: Path) -> None:
         ("pickled.npy", "pickled.npy: a .npy array of numbers expected, found pickled objects"),
         ("endless.npy", "heights within 100 m of 0 expected, found 0 to inf m"),
         ("tall.npy", "heights within 100 m of 0 expected, found 0 to 255 m"),
-        ("ground.tif", ".npy or .png"),
+        ("ground.tif", ".npy, .png or .mcap"),
         ("grey.png", "grey.png: scale expected .metres per grey value."),
     ):
         with pytest.raises(ValueError, match=why):
