@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import Literal, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sextant.deploy.live.send_command import LEASE_ENDS_NS, SETTLED, STOPS, refusal, router_refusal
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
@@ -42,7 +41,6 @@ _SILENT_S = 2.0  # [s] without a state, after which the actuator counts as silen
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the same command: the robot may restart
 _SETTLED_NS = 200_000_000  # [ns] after a command, before a state counts as its result
 _REFUSED_NS = 1_000_000_000  # [ns] after a command, before a refusal that was already reported counts as its result
-_ARRIVED_M = 0.05  # [m] beyond the tolerance within which "arrived" is of this goal, not of an earlier one
 _WALKING = (Mode.WALK, Mode.HOLD)  # modes while a walk command is obeyed: the robot holds while the planner plans
 
 
@@ -196,6 +194,8 @@ class Client:
     ) -> None:
         """Walk to a place in {world}, around what the robot cannot cross, and stop there.
 
+        Returns once the robot stands with all legs at rest, within `tolerance_m` of the place by its own estimate of its pose.
+
         Raises:
             ClientError: The robot refuses, finds no way for `BLOCKED_S`, stops walking, obeys another client, or does not
                 arrive in time.
@@ -209,8 +209,12 @@ class Client:
             if failure := self._not_walking(status.actuator) or blocked.see(status.planner):
                 raise ClientError(failure)
             planner = status.planner
-            arrived = planner is not None and planner.state == "arrived" and planner.stamp_ns > given_ns + _SETTLED_NS
-            return arrived and status.pose is not None and _distance_m(status.pose, goal[0]) < tolerance_m + _ARRIVED_M
+            return (
+                planner is not None
+                and planner.state == "arrived"
+                and planner.stamp_ns > given_ns + _SETTLED_NS
+                and np.array_equal(planner.path, goal)  # not an earlier goal
+            )
 
         try:
             self._until(done, within_s, f"the goal is not reached within {within_s:g} s", silent_s=BLOCKED_S)
@@ -445,11 +449,6 @@ class _Blocked:
         self._since_ns = planner.stamp_ns if self._since_ns < 0 else self._since_ns
         blocked_s = (planner.stamp_ns - self._since_ns) * 1e-9
         return f"no way to the goal: {planner.reason}" if blocked_s > BLOCKED_S else ""
-
-
-def _distance_m(pose: BodyPose, place: NDArray[np.float64]) -> float:
-    """Return the horizontal distance [m] of the body from a place (2,) in {world}."""
-    return float(np.linalg.norm(pose.T_world_body[:2, 3] - place))
 
 
 def _text(status: Status) -> str:

@@ -14,7 +14,7 @@ from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP, Numb
 from sextant.services.planner.locomotion.step_selection import StepSelector
 from sextant.services.planner.navigation.path_follower import MotionCommand, PathFollower, validation_error
 from sextant.services.planner.navigation.path_planner import NoPath
-from sextant.services.planner.robot_estimate import RobotEstimate
+from sextant.services.planner.robot_estimate import RobotEstimate, is_resting
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -46,7 +46,7 @@ class GoalFollower:
 
     @property
     def path(self) -> Array:
-        """Return the corners (k, 2) [m] {world} of the current path."""
+        """Return the corners (k, 2) [m] {world} of the current path; the goal alone once arrived."""
         return self._path_follower.path
 
     def add_pose(self, pose: BodyPose) -> None:
@@ -114,11 +114,12 @@ class GoalFollower:
         if self._plans.is_unanswered(robot.state):
             self.pause()
         with self._stages("find a way"):
-            found = self._path_follower.lead(goal, terrain, self._view_pose(terrain, robot), stance.body, robot.now_ns)
+            view, resting = self._view_pose(terrain, robot), is_resting(robot.state)
+            found = self._path_follower.lead(goal, terrain, view, stance.body, robot.now_ns, resting)
         if isinstance(found, NoPath):
             return self._cross_gap(goal, robot, terrain, strip, found.reason)
         if not found.commands:
-            return Decision("arrived", found.words)
+            return Decision("arrived", found.words) if resting else Decision("stepping", f"the running step ends {found.words}")
         decision = self._walk(found, robot, terrain)
         if decision.step is None:
             self._path_follower.note(decision.reason)

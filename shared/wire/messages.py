@@ -391,14 +391,14 @@ class StepPlan(Message):
 class PlannerStatus(Message):
     """State of the planner and the reason for it; planner -> operator, console."""
 
-    state: Literal["waiting", "resting", "stepping", "blocked", "arrived"]
+    state: Literal["waiting", "resting", "stepping", "blocked", "arrived"]  # arrived: at the goal, with all legs at rest
     reason: str  # of this state
     step: int
     moved_footholds: int  # touchdowns of the newest plan that differ from their nominal position
     blocked_leg: int  # index of the leg without a foothold, -1 for none
     path: Annotated[NDArray[np.float64], Dims("path", 2, lengths=(0, MAX_PATH))] = dataclasses.field(
         default_factory=lambda: _NO_PATH
-    )  # [m] {world} corners of the path from the robot to the goal; empty without a path
+    )  # [m] {world} corners of the path from the robot to the goal; the goal alone once arrived, empty without a path
 
 
 @dataclass(frozen=True, slots=True)

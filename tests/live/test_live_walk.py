@@ -178,7 +178,7 @@ def walk_by_the_public_client(endpoint: str) -> None:
         robot.stop()
         goal = place() + 2.0 * (place() - begin)
         robot.goto(*goal, tolerance_m=0.05)
-        assert np.linalg.norm(place() - goal) < 0.1
+        assert np.linalg.norm(place() - goal) < 0.06
         robot.sit()
         assert robot.state.mode is Mode.READY
 

@@ -179,10 +179,7 @@ def walks_to(robot: Robot, me: Client, *, arrives_after: int = 10**9, **during: 
         if periods == 20:
             robot.set(**during)
         if periods == arrives_after:
-            place = np.eye(4)
-            place[:2, 3] = (1.0, 0.5)
-            robot.pose = replace(robot.pose, T_world_body=place)
-            robot.planner = replace(robot.planner, state="arrived")
+            robot.planner = replace(robot.planner, state="arrived", path=np.array([[1.0, 0.5]]))
 
     robot.then = then
     me.goto(1.0, 0.5)
@@ -197,7 +194,7 @@ def test_goto_ends_with_stop_at_goal(robot: Robot) -> None:
 
 
 def test_goto_ignores_arrival_at_earlier_goal(robot: Robot) -> None:
-    robot.planner = replace(robot.planner, state="arrived")
+    robot.planner = replace(robot.planner, state="arrived", path=np.array([[0.99, 0.5]]))
     with Client(name="me") as me, pytest.raises(ClientError, match="not reached within 5 s"):
         me.goto(1.0, 0.5, within_s=5.0)
     assert robot.orders() == ["walk", "stop"]
@@ -357,7 +354,7 @@ def test_example_leads_the_robot_to_its_place(
             place = np.eye(4)
             place[0, 3] = 0.8
             robot.pose = replace(robot.pose, T_world_body=place)
-            robot.planner = replace(robot.planner, state="arrived")
+            robot.planner = replace(robot.planner, state="arrived", path=np.array([[0.8, 0.0]]))
 
     robot.then = then
     monkeypatch.setattr(client.time, "sleep", sleep)

@@ -266,6 +266,8 @@ class ControlArbiter:
             self._words.append(f"the goal is cancelled: {state.mode}: {state.reason}")
             self._active_goal = None
         elif status is not None and status.state == "arrived" and status.stamp_ns > active.begun_ns:
+            if not np.array_equal(status.path, active.goal.waypoints[-1:]):
+                return  # at an earlier goal
             self._words.append(f"arrived: {status.reason}")
             self._end_goal(now_ns, "")
 

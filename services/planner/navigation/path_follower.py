@@ -33,7 +33,7 @@ _AHEAD = 10.0  # [m] along the path, within which the ground is checked; beyond 
 class MotionCommand:
     """Commands for the next step."""
 
-    commands: tuple[VelocityCommand, ...]  # in order of preference; none: arrived
+    commands: tuple[VelocityCommand, ...]  # in order of preference; none: the goal is where the running step ends
     words: str
 
 
@@ -75,11 +75,15 @@ class PathFollower:
 
     @property
     def path(self) -> Array:
-        """Return the corners (k, 2) [m] {world} of the current path."""
+        """Return the corners (k, 2) [m] {world} of the current path; the goal alone once arrived."""
         active_goal = self._active_goal
+        if active_goal is not None and active_goal.arrived:
+            return active_goal.goal.waypoints[-1:]
         return np.zeros((0, 2)) if active_goal is None or active_goal.way is None else active_goal.way.corners[:MAX_PATH]
 
-    def lead(self, goal: Goal, terrain: Terrain, T_world_body: Array, body: Array, now_ns: int) -> MotionCommand | NoPath:
+    def lead(
+        self, goal: Goal, terrain: Terrain, T_world_body: Array, body: Array, now_ns: int, resting: bool = True
+    ) -> MotionCommand | NoPath:
         """Return the next commands towards a goal, or why there is no path.
 
         Args:
@@ -88,6 +92,7 @@ class PathFollower:
             T_world_body: (4, 4) current body pose.
             body: (4, 4) {world} body pose at the start of the next step.
             now_ns: [ns] current time.
+            resting: Whether all legs stand. The end of a running step is a prediction, so a walking robot has not arrived yet.
         """
         invalid_reason = validation_error(goal)
         if invalid_reason:
@@ -107,8 +112,9 @@ class PathFollower:
             target = goal.waypoints[active_goal.leg]
         # A robot that has arrived does not start again because of small changes of its estimate.
         near = _length(target - xy) <= goal.tolerance * (2.0 if active_goal.arrived else 1.0)
-        active_goal.arrived = near and active_goal.leg == len(goal.waypoints) - 1
-        if active_goal.arrived:
+        ends = near and active_goal.leg == len(goal.waypoints) - 1
+        active_goal.arrived = ends and (resting or active_goal.arrived)
+        if ends:
             active_goal.way = None
             return MotionCommand((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
         if _off(active_goal.begin, target, xy) > params.detour_m:

@@ -582,8 +582,31 @@ def test_goal_is_reached_through_its_waypoints() -> None:
     assert np.linalg.norm(reached[-1][:2] - (0.6, 0.0)) <= 0.03
     status = rig.status()
     assert (status.state, status.reason) == ("arrived", "at the goal (0.6, 0.0)")
-    assert not len(status.path)
+    assert status.path.tolist() == [[0.6, 0.0]], "arrived at this goal, not at another"
     assert rig.plans(50) == []
+
+
+def test_robot_has_arrived_once_all_legs_rest_at_the_goal() -> None:
+    rig = rig_with_goal((0.05, 0.0))
+    plan = rig.plans(15)[-1]
+    rig.begin(plan)
+    rig.plans(15, phase=0.9)
+    status = rig.status()
+    assert (status.state, status.reason) == ("stepping", "the running step ends at the goal (0.1, 0.0)")
+    assert not len(status.path)
+    short = plan.body_goal.copy()
+    short[0, 3] = 0.005  # the feet are set down early, as under load
+    rig.finish(replace(plan, body_goal=short))
+    assert rig.pose is not None
+    rig.pose = replace(rig.pose, T_world_body=short)
+    plan = rig.plans(15)[-1]
+    assert plan.body_goal[0, 3] > 0.02
+    rig.begin(plan)
+    rig.plans(1, phase=0.1)
+    rig.finish(plan)
+    rig.pose = replace(rig.pose, T_world_body=plan.body_goal)
+    assert rig.plans(15) == []
+    assert rig.status().state == "arrived"
 
 
 def test_status_contains_current_path() -> None:
@@ -780,7 +803,9 @@ def test_view_pose_is_robot_pose_at_map_stamp(monkeypatch: pytest.MonkeyPatch) -
     rig, seen = Rig(), list[tuple[int, float]]()
     rig.command, rig.goal = None, GOAL
 
-    def lead(_: PathFollower, _goal: Goal, _terrain: Terrain, looked: Array, _body: Array, now_ns: int) -> NoPath:
+    def lead(
+        _: PathFollower, _goal: Goal, _terrain: Terrain, looked: Array, _body: Array, now_ns: int, _resting: bool
+    ) -> NoPath:
         seen.append((now_ns, float(looked[0, 3])))
         return NoPath("looking")
 

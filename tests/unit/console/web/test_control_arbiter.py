@@ -3,6 +3,8 @@
 The robot moves only while the leading page asks for it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -202,7 +204,9 @@ def test_goal_is_repeated_until_arrival(office: Office) -> None:
     np.testing.assert_array_equal(goals[0].waypoints, [[1.0, 0.5]])
     assert goals[0].speed == 0.12, "no faster than the robot"
     assert orders(out) == ["walk"]
-    office.beat(status=office.status("arrived"))
+    office.beat(status=replace(office.status("arrived"), path=np.array([[0.9, 0.5]])))
+    assert office.arbiter.goal is not None, "the planner has not received this goal yet"
+    office.beat(status=replace(office.status("arrived"), path=np.array([[1.0, 0.5]])))
     assert office.arbiter.goal is None
     assert orders(office.beat())[-1:] in ([], ["stop"])
     assert orders(office.out)[-1] == "stop"

@@ -105,7 +105,7 @@ def test_straight_walk_ends_within_goal_tolerance(make_terrain: Maker) -> None:
     line = np.array([0.7, 0.3]) / np.hypot(0.7, 0.3)
     off = np.array(robot.track)[:, :2] @ [-line[1], line[0]]
     assert np.abs(off).max() < 0.02
-    assert not len(robot.pilot.path)
+    assert robot.pilot.path.tolist() == [[0.7, 0.3]], "arrived at this goal"
 
 
 def test_robot_stays_at_reached_goal(make_terrain: Maker) -> None:
