@@ -65,6 +65,7 @@ def test_leg_kinematics_prints_reach_of_each_leg(profile: str, run) -> None:
     assert printed.count("reaches") == 6
 
 
+@pytest.mark.slow
 def test_depth_to_map_maps_the_floor(recorded: Path, run) -> None:
     printed = run("depth_to_map", str(recorded), "map.npy")
     assert number(r"(\d+) of 160000 cells", printed) > 2000
@@ -72,6 +73,7 @@ def test_depth_to_map_maps_the_floor(recorded: Path, run) -> None:
     assert abs(np.nanmedian(heights)) < 0.01
 
 
+@pytest.mark.slow
 def test_foothold_layers_draws_a_picture(run) -> None:
     printed = run("foothold_layers", "footholds.png")
     assert 1000 < number(r"(\d+) carry a foot", printed) < number(r"^(\d+) cells", printed)

@@ -38,7 +38,7 @@ MAKE = {
 RUN_BY = {
     "demo": "tests/unit/deploy/test_cli.py::test_live_run_and_demo_exit_codes_follow_walk_outcome",
     "demo gap": "tests/unit/deploy/test_cli.py::test_live_run_and_demo_exit_codes_follow_walk_outcome",
-    "run": "tests/live/test_live_walk.py::test_custom_scenario_is_walked_over_zenoh",
+    "run": "tests/live/test_live_walk.py::test_parallel_runs_are_isolated_and_leave_no_orphans",
     "run --lockstep": "tests/walk/test_walks.py::test_walk_over_low_blocks_and_two_stairs",
     "run --lockstep --bridge": "tests/walk/test_bridge.py::test_walk_through_mcu_bridge_matches_walk_on_bus",
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_ripple_gait_climbs_two_stairs",
@@ -206,6 +206,7 @@ def test_readme_table_matches_command_output() -> None:
     assert [row.split(" | ")[0] for row in printed[2:]] == [f"| `{name}`: {words}" for name, words in WALKED.items()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["walks", "reached", "maps"])
 def test_results_tables_match_command_output(table: str) -> None:
     text = (ROOT / "docs" / ("results_maps.md" if table == "maps" else "results.md")).read_text(encoding="utf-8")

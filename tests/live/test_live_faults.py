@@ -7,10 +7,9 @@ import pytest
 
 from tests.support.commands import Command
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.campaign]
 
 
-@pytest.mark.campaign
 def test_actuator_killed_during_walk_restarts_and_holds(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with Command("faults", "live-actuator-killed", "--phases", "1", "--out", str(out), cwd=tmp_path) as command:

@@ -25,7 +25,7 @@ PATIENCE_S, ANEW_S = 180.0, 3.0  # [s] limit for an order to take effect; time u
 COURSE = """
 name = "level"
 time_limit_s = 60.0
-goal = { distance = 0.4 }
+goal = { distance = 0.2 }
 terrain = [{ kind = "plane" }]
 """
 
@@ -60,7 +60,7 @@ def test_mcu_restart_during_walk_causes_no_fall_or_lunge() -> None:
             simulator.device.restart(run.now_ns())
             done.append(run.now_ns())
 
-    found = walk(flat(0.6, bridge=True), 1001, look=restart)
+    found = walk(flat(0.35, bridge=True), 1001, look=restart)
     assert done
     assert found.report.success, found.report.reason
     assert (found.report.falls, found.report.shutdowns) == (0, 0)

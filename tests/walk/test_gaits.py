@@ -14,14 +14,14 @@ _TWO_STEPS = """
 name = "two-steps"
 time_limit_s = 60.0
 [goal]
-distance = 1.3
+distance = 0.95
 [[terrain]]
 kind = "plane"
 [[terrain]]
 kind = "stairs"
-xy = [0.7, 0.0]
+xy = [0.5, 0.0]
 riser = 0.045
-tread = 0.3
+tread = 0.2
 count = 2
 width = 2.4
 landing = 2.0
@@ -40,7 +40,7 @@ def test_ripple_gait_climbs_two_stairs(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_wave_gait_is_slower_and_more_stable_than_tripod() -> None:
-    scenario = replace(load_scenario("flat"), goal=Goal(0.3))
+    scenario = replace(load_scenario("flat"), goal=Goal(0.15))
     tripod = run_lockstep(scenario, 1000)
     wave = run_lockstep(replace(scenario, walk=replace(scenario.walk, gait="wave")), 1000)
     assert tripod.success, tripod.reason

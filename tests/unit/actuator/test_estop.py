@@ -54,6 +54,7 @@ def test_each_new_torque_off_order_is_latched_once(latch: Latch) -> None:
     assert latch.closed
 
 
+@pytest.mark.slow
 def test_viewer_stop_order_off_is_latched_once_per_sequence(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
     receive_order(stop, StopOrder(0, "stop", 7, "viewer"))
@@ -306,6 +307,7 @@ def test_late_stop_order_is_latched_with_its_stamp(latch: Latch, heard_ns: int, 
     assert latch.since_ns == since_ns
 
 
+@pytest.mark.slow
 def test_remembered_holders_are_bounded(latch: Latch) -> None:
     stop = EmergencyStop(PROFILE, Settings(PORT))
     for k in range(1000):

@@ -64,6 +64,7 @@ def test_actuator_extra_installs_in_at_most_150_mb() -> None:
     assert sum(sizes.values()) <= MOST_MB, sizes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("process", ["sextant.services.actuator", "sextant.services.actuator.estop"])
 def test_actuator_processes_import_no_heavy_packages(process: str) -> None:
     """List all modules that are imported when `process.main` is called."""

@@ -51,6 +51,7 @@ def test_servo_shutdown_is_named_and_robot_holds() -> None:
     assert f"`stand` refused: {words}" in state.warnings
 
 
+@pytest.mark.slow
 def test_fourth_overload_in_5_minutes_sits_down_and_turns_torque_off() -> None:
     rig = Rig()
     rig.walking()
@@ -120,6 +121,7 @@ def disable_torque_and_drop_joint(rig: Rig, row: int, by: float) -> None:
     rig.stuck[row] = rig.joint(row) + by
 
 
+@pytest.mark.slow
 def test_two_legs_without_torque_are_recovered_one_after_the_other() -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
@@ -148,6 +150,7 @@ def test_two_legs_without_torque_are_recovered_one_after_the_other() -> None:
     assert state.mode is Mode.HOLD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heard_again", [False, True])
 def test_sitting_down_does_not_load_a_leg_with_lost_servo(heard_again: bool) -> None:
     rig = Rig()
@@ -167,6 +170,7 @@ def test_sitting_down_does_not_load_a_leg_with_lost_servo(heard_again: bool) -> 
     assert body_forward(PROFILE, rig.goals)[:, 2].min() > -0.03, "no foot is far below the body that lies"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("roll", "leg"), [(0.0, 1), (0.12, 1), (0.12, 4), (-0.12, 5)])
 @pytest.mark.parametrize("height", [0.008, 0.02])
 def test_raised_foot_at_start_up_is_lowered_to_plane_of_stance_feet(roll: float, leg: int, height: float) -> None:
@@ -243,6 +247,7 @@ def test_restarted_actuator_holds_pose_and_requires_new_walk_order() -> None:
     assert rig.cycle().mode is Mode.WALK
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cycles", [3, 5, 9, 15, 21, 27, 29])
 def test_after_process_pause_feet_are_lowered_at_limited_rate(cycles: int) -> None:
     rig = Rig()
@@ -318,6 +323,7 @@ def test_lying_robot_reports_unresponsive_bus(mode: str, monkeypatch: pytest.Mon
     assert "no servo answers; check the power of the bus, its cable and the adapter" in state.warnings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["ready", "stand"])
 def test_stand_is_allowed_after_servo_reset_on_a_resting_robot(order: str) -> None:
     """Check that an interrupted motion is not resumed after a reset.

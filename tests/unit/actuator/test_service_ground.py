@@ -77,6 +77,7 @@ def cycle_with_imu(rig: Rig, up: Array) -> ActuatorState:
     return rig.cycle()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [(4.0, 0.0), (0.0, -5.0), (3.0, 3.0)])
 def test_body_levels_on_slope_with_imu(slope: tuple[float, float]) -> None:
     rig, R = Rig(), rotation_from_rpy(np.radians([*slope, 0.0]))
@@ -95,6 +96,7 @@ def test_body_levels_on_slope_with_imu(slope: tuple[float, float]) -> None:
     np.testing.assert_allclose(later.T_odom_body[2, :3], up, atol=np.radians(1.0))
 
 
+@pytest.mark.slow
 def test_tipping_robot_finishes_step_then_holds_with_reason() -> None:
     rig, upright = Rig(), UP
     state = rig.walking()
@@ -136,6 +138,7 @@ def tip(rig: Rig, angle: float, cycles: int = 25) -> ActuatorState:
     return state
 
 
+@pytest.mark.slow
 def test_lifted_and_turned_robot_does_not_move_legs() -> None:
     rig = Rig()
     walk_with_trusted_imu(rig)
@@ -146,6 +149,7 @@ def test_lifted_and_turned_robot_does_not_move_legs() -> None:
         np.testing.assert_allclose(rig.goals, goals, atol=STILL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [1.0, np.pi / 2, 3.0])
 def test_fallen_robot_does_not_move_legs(angle: float) -> None:
     rig = Rig()
@@ -159,6 +163,7 @@ def test_fallen_robot_does_not_move_legs(angle: float) -> None:
     assert any("from the commanded pose" in warning for warning in state.warnings)
 
 
+@pytest.mark.slow
 def test_upside_down_imu_does_not_move_legs() -> None:
     rig = Rig()
     rig.walking()
@@ -170,6 +175,7 @@ def test_upside_down_imu_does_not_move_legs() -> None:
     assert any("180 deg from the commanded pose" in warning for warning in state.warnings)
 
 
+@pytest.mark.slow
 def test_faulty_robot_does_not_level_when_tilted() -> None:
     rig = Rig()
     walk_with_trusted_imu(rig)
@@ -183,6 +189,7 @@ def test_faulty_robot_does_not_level_when_tilted() -> None:
     np.testing.assert_allclose(rig.goals, goals, atol=STILL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heard", [True, False])
 def test_walking_after_tipping_requires_new_order(heard: bool) -> None:
     """Check that neither a return upright nor a silent sensor allows walking again."""
@@ -202,6 +209,7 @@ def test_walking_after_tipping_requires_new_order(heard: bool) -> None:
     assert not any("from the commanded pose" in warning for warning in rig.cycle().warnings)
 
 
+@pytest.mark.slow
 def test_robot_on_its_side_refuses_walk_order() -> None:
     rig, up = Rig(), rotation_from_rpy((1.2, 0.0, 0.0))[2]
     walk_with_trusted_imu(rig)
@@ -213,6 +221,7 @@ def test_robot_on_its_side_refuses_walk_order() -> None:
     assert "by the IMU" in cycle_with_imu(rig, up).plan_refusal
 
 
+@pytest.mark.slow
 def test_second_stand_up_does_not_twist_the_coxae() -> None:
     """Check that standing up restarts leg odometry while the gyro continues."""
     rig = Rig()

@@ -71,6 +71,7 @@ def test_torque_stays_off_if_latch_cannot_be_opened(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_stand_order_repeated_across_restart_does_not_undo_torque_off(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     rig = Rig(torque=False, latch=latch)
@@ -155,6 +156,7 @@ def test_torque_off_order_from_before_suspend_is_obeyed() -> None:
     assert not rig.torque
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stopped", [False, True])
 def test_restart_resumes_walk_order_only_if_not_stopped(stopped: bool, tmp_path: Path) -> None:
     """Check a client that repeats its walk order: it missed or ignores the stop."""

@@ -83,6 +83,7 @@ def test_displaced_robot_keeps_odometry_and_relative_motion() -> None:
     )
 
 
+@pytest.mark.slow
 def test_accuracy_of_synthetic_trajectory() -> None:
     result = accuracy.measure(MAPPED["steps"], 1000, survey=True)
     assert result.legs_drift == pytest.approx(0.1, abs=0.01)
@@ -178,6 +179,7 @@ def test_wrong_plugin_or_parameter_is_refused_before_measuring(
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_speed_command_writes_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     methods = ("projective (default)", "kiss-icp")
     monkeypatch.setattr(registration_speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
@@ -342,6 +344,7 @@ def test_registration_on_sparse_boxes_resists_leg_slip() -> None:
     assert np.linalg.norm(T[:3, 3] - true[59][:3, 3]) < 0.03
 
 
+@pytest.mark.slow
 def test_passage_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["passage", "--seeds", "1000:1001", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)

@@ -14,6 +14,7 @@ from benchmarks.robot import servo_bus
 DEGREES = 12.0  # largest position error: 3 from the goal, 6 between the goals of three cycles at 2.7 rad/s, 3 for a late answer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("only", servo_bus.CASES)
 def test_accepted_readings_are_correct_or_close(only: str) -> None:
     (found,) = [one for one in servo_bus.measure(800, 1, only) if one.case == only]
@@ -29,6 +30,7 @@ def test_accepted_readings_are_correct_or_close(only: str) -> None:
         assert found.by_reason
 
 
+@pytest.mark.slow
 def test_unanswered_share_matches_loss_rate() -> None:
     found = {one.case: one for one in servo_bus.measure(2000, 2, "are lost")}
     assert found["1 % of the answers are lost"].unanswered / 2000 == pytest.approx(0.01, abs=0.008)

@@ -53,6 +53,7 @@ def test_each_library_sends_same_packets_for_job(library: type[servo_packets.Our
     assert asked == expected
 
 
+@pytest.mark.slow
 def test_servos_command_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["servos", "--rounds", "4", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads((tmp_path / "servos.json").read_text())

@@ -14,6 +14,7 @@ def test_robot_role_install_size_is_within_limit(role: str) -> None:
     assert 50.0 < found.size_mb < size.LIMITS_MB[role], size.in_words([found])
 
 
+@pytest.mark.slow
 def test_role_installs_only_required_packages() -> None:
     roles = {role.name: role for role in size.measure()}
     assert {"sextant", "numpy", "eclipse-zenoh", "pyserial"} <= set(roles["actuator"].packages_mb)
@@ -22,6 +23,7 @@ def test_role_installs_only_required_packages() -> None:
     assert set(roles["onboard"].packages_mb) == {*roles["actuator"].packages_mb, *roles["perception"].packages_mb}
 
 
+@pytest.mark.slow
 def test_size_command_prints_and_writes_roles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["size", "--out", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "size.json").read_text())

@@ -18,7 +18,7 @@ from benchmarks.fuzz.target import Target
 from benchmarks.fuzz.targets import targets
 from sextant.shared.wire.topics import TOPICS
 
-MESSAGES = 500  # for each target
+MESSAGES = 200  # for each target
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +38,7 @@ def test_valid_examples_are_accepted(fuzz_targets: dict[str, Target]) -> None:
         assert sum(map(target.take, target.examples)) >= expected, target.name
 
 
+@pytest.mark.slow
 def test_broken_messages_are_accepted_or_refused_without_error(tmp_path: Path) -> None:
     found = table.table([fuzzing.fuzz(MESSAGES * len(fuzzing.names()), 1, (), tmp_path / "newest")])
     assert found.findings == ()
@@ -88,11 +89,12 @@ def test_message_that_ends_process_is_saved(monkeypatch: pytest.MonkeyPatch, tmp
     assert rest[4 : 4 + length] == given[0]
 
 
+@pytest.mark.slow
 def test_fuzz_command_reports_findings_and_repeats_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [sys.executable, "-m", "benchmarks", "fuzz", "--messages", "20000", "--jobs", "2", "--out", str(tmp_path)]
+    words = [sys.executable, "-m", "benchmarks", "fuzz", "--messages", "4000", "--jobs", "2", "--out", str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "20,000 messages; memory of the process that grew most" in done.stdout
+    assert "4,000 messages; memory of the process that grew most" in done.stdout
     assert {path.name for path in tmp_path.iterdir()} == {"fuzz.json"}
     given = tmp_path / "given"
     given.write_bytes(b"no frame")

@@ -1,6 +1,7 @@
 """The NumPy peer and the compiled tests agree for any stance and samples."""
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -40,6 +41,7 @@ def both_verdicts(
     return (verdict, lifts), NumpyTests(legs, rules, field).judge(feet, leg, body, bodies, goals)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.integers(0, 1), st.integers(0, 1), st.floats(0.0, 0.06))
 def test_numpy_peer_gives_same_verdicts(seed: int, leg: int, robot: int, ground: int, spread: float) -> None:
@@ -48,6 +50,7 @@ def test_numpy_peer_gives_same_verdicts(seed: int, leg: int, robot: int, ground:
     np.testing.assert_allclose(lifts, told_lifts, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_samples_cover_all_verdicts() -> None:
     seen = {
         int(code)

@@ -37,6 +37,7 @@ def off(found: Attitude, R_world_body: Array) -> float:
     return float(np.arccos(np.clip(found.up @ R_world_body[2], -1.0, 1.0)))
 
 
+@pytest.mark.slow
 @WILD
 @given(st.tuples(st.floats(-3.0, 3.0), st.floats(-1.4, 1.4)), tilts, headings)
 def test_up_is_found_from_any_start(start: tuple[float, float], tilt: tuple[float, float], yaw: float) -> None:

@@ -115,6 +115,7 @@ def test_each_fault_keeps_time_budget_and_bus_recovers_afterwards(cell: tuple[Fa
     assert set(rig.off) == {0}
 
 
+@pytest.mark.slow
 @WILD
 @given(
     st.lists(st.tuples(st.sampled_from(CELLS), st.floats(0, 0.4), st.floats(0.01, 1.0), st.floats(0.005, 1.0)), max_size=4),
@@ -139,6 +140,7 @@ def test_random_faults_raise_only_bus_disconnected_and_keep_time_budget(
         assert 0.0 <= rig.driver.loss <= 1.0
 
 
+@pytest.mark.slow
 def test_wrong_values_with_valid_checksum_are_rejected_by_reason() -> None:
     rig = Rig(of("packets", "wrong", share=0.1, for_s=60.0))
     assert rig.run(1500) > 3000
@@ -191,6 +193,7 @@ def test_returning_bus_is_read_again_within_1_s() -> None:
     assert rig.driver.ages().max() < 0.2
 
 
+@pytest.mark.slow
 def test_1_percent_packet_loss_keeps_readings_within_two_rotations() -> None:
     clean = Rig()
     rotation = max(clean.driver.ages().max() for _ in range(100) if clean.cycle() and np.isfinite(clean.driver.ages()).all())

@@ -449,6 +449,7 @@ def test_more_servos_than_a_frame_holds_are_refused() -> None:
         Bridge(Rig().port, range(25), lambda: 0)
 
 
+@pytest.mark.slow
 @WILD
 @given(st.lists(st.binary(max_size=300), min_size=1, max_size=10))
 def test_garbage_on_serial_line_gives_no_error_and_no_false_reading(noise: list[bytes]) -> None:

@@ -18,6 +18,7 @@ def good(story, heard):
     return heard("good", story(moved_leg=2, drift=0.02, bob=0.001))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCALED)
 def test_figure_has_the_asked_width_and_shows_something(name, good, tmp_path):
     for width in (3.5, 7.0):
@@ -53,12 +54,14 @@ def test_csv_of_bars_has_the_torque_of_each_joint(good, tmp_path):
     assert any(np.allclose(points[:, 1], good.torque_rms.ravel(), rtol=1e-8) for points in bars)
 
 
+@pytest.mark.slow
 def test_data_of_every_figure_can_be_written(good, tmp_path):
     for name in FIGURES:
         if draw(name, [good], tmp_path / f"{name}.svg", data=True):
             assert (tmp_path / f"{name}.csv").read_text().startswith("panel,series,x,y\n")
 
 
+@pytest.mark.slow
 def test_command_draws_columns_and_writes_data(kept, story, scenario, tmp_path, capsys):
     run = str(kept("good", story(moved_leg=2, drift=0.02, bob=0.001)))
     out = tmp_path / "out"

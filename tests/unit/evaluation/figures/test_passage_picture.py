@@ -39,6 +39,7 @@ def drawn_crossing(tmp_path_factory):
     return picture
 
 
+@pytest.mark.slow
 def test_picture_shows_footholds_plans_and_leg_colors(story, drawn_crossing):
     _, pixels = drawn_crossing(story)
     assert _share(pixels, GOOD, PLANNED) > 0.2
@@ -49,6 +50,7 @@ def test_picture_shows_footholds_plans_and_leg_colors(story, drawn_crossing):
     assert np.all(pixels[:, -8:] == 255)
 
 
+@pytest.mark.slow
 def test_plans_are_shown_without_strip_map(tmp_path, story, drawn_crossing):
     scorer, _ = drawn_crossing(story)
     sections = tuple(replace(section, map=None) for section in scorer.trace.sections)

@@ -61,6 +61,7 @@ def test_empty_figure_writes_no_file(story, heard, good, tmp_path):
     assert not run_figures.draw("table", [good], tmp_path / "table.svg")
 
 
+@pytest.mark.slow
 def test_each_listed_figure_can_be_drawn(story, heard, good, fallen, tmp_path):
     crossed = replace(good, trace=replace(good.trace, sections=_sections(story)))
     for name in FIGURES:
@@ -73,6 +74,7 @@ def _sections(story):
     return story(sections=2).judged().trace.sections
 
 
+@pytest.mark.slow
 def test_run_summary_title_color_shows_known_result(story, heard, good, fallen, tmp_path):
     robot = heard("robot", story(moved_leg=2), truth=False)
     green, red = "#1a7f37", "#b3261e"

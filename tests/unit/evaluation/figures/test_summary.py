@@ -39,6 +39,7 @@ def good(tmp_path_factory):
     return pixels
 
 
+@pytest.mark.slow
 def test_summary_title_is_green_on_success_and_red_on_failure(tmp_path, story, good):
     bad = _drawn(tmp_path / "bad.png", story(topple_s=4.0).judged())
     title = (slice(0, 80), slice(None))
@@ -58,6 +59,7 @@ def test_summary_of_empty_run_shows_unknown_ground_and_long_reason(tmp_path, sto
     assert np.all(nothing[:, -8:] == 255)
 
 
+@pytest.mark.slow
 def test_colored_map_is_shown_in_its_colors(tmp_path, story, good):
     scorer = story().judged()
     seen = np.isfinite(scorer.trace.mosaic.elevation)

@@ -181,6 +181,7 @@ def test_replayed_run_reproduces_recorded_maps(recorded: Path, tmp_path: Path) -
     assert "differ by 0.00 mm" in in_words(table)
 
 
+@pytest.mark.slow
 def test_replay_command_accepts_recording_or_its_folder(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,6 +234,7 @@ def test_partial_replay_skips_checks_of_other_topics() -> None:
     assert problem_of(replay_table(plans={"compared": 0}, map_error_m={"rmse": 0.004}), everything=False) == ""
 
 
+@pytest.mark.slow
 def test_run_with_custom_map_size_is_reproduced(tmp_path: Path) -> None:
     scenario = replace(load_scenario("flat"), map=MapOptions(cells=120, cells_y=100, resolution=0.02))
     path = record(tmp_path, about(scenario, 0, "live"), Settings(cells=120, cells_y=100, resolution=0.02))
@@ -249,6 +251,7 @@ def test_map_size_mismatch_is_refused(tmp_path: Path) -> None:
         replay_recording(record(tmp_path, {"map.cells": "many"}, Settings()), tmp_path, Silent())
 
 
+@pytest.mark.slow
 def test_truncated_recording_is_replayed_up_to_its_end(recorded: Path, tmp_path: Path) -> None:
     data = recorded.read_bytes()
     recorded.write_bytes(data[: len(data) - 40])
@@ -290,6 +293,7 @@ def test_constant_velocity_guess_predicts_steady_motion_exactly() -> None:
     assert guess.status().startswith("predicting")
 
 
+@pytest.mark.slow
 def test_simulated_sequence_replay_matches_ground_truth(tmp_path: Path) -> None:
     """Replay a camera that moves steadily past a wall with a step and over a floor.
 

@@ -227,6 +227,7 @@ def test_footholds_moved_by_planner_are_detected(story):
     np.testing.assert_array_equal(downs.moved, downs.leg == 2)
 
 
+@pytest.mark.slow
 def test_same_messages_give_same_report(story):
     first, second = story(scenario=STEPS).judged().result(), story(scenario=STEPS).judge().result()
     assert reports.to_json(first) == reports.to_json(second)

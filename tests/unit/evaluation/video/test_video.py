@@ -184,6 +184,7 @@ def test_frames_do_not_depend_on_number_of_processes(film: Animation) -> None:
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_robot_moves_and_stays_near_image_center(film: Animation, recorded_timeline: Timeline) -> None:
     size = np.array(SMALL.size)
     for t_ns in film.times_ns:
@@ -283,6 +284,7 @@ def test_moment_takes_pose_from_truth_and_footholds_from_plan(recorded_timeline:
     assert moment.speed == pytest.approx(np.linalg.norm(at(3.0)[:2, 3] - at(1.0)[:2, 3]) / 2, rel=0.01)
 
 
+@pytest.mark.slow
 def test_video_without_truth_uses_estimated_pose_and_own_map(tmp_path: Path) -> None:
     said = [m for m in walk_messages() if not isinstance(m, GroundTruth)]
     path = record(tmp_path / "recording.mcap", said, {"robot": PROFILE.name})

@@ -37,6 +37,7 @@ def test_invalid_settings_are_refused() -> None:
         grid.seed_plane([[0, 0], [1, 1], [0, 1]], (0, 0))
 
 
+@pytest.mark.slow
 def test_seeded_plane_fills_unseen_cells_and_is_replaced_by_measurement() -> None:
     grid = ElevationGrid(size=64)
     grid.move_to((0.2, 0.0))
@@ -148,6 +149,7 @@ def test_low_blocks_are_mapped_accurately_with_true_poses() -> None:
     assert (np.abs(error[inside]) < 3 * claimed).mean() > 0.97
 
 
+@pytest.mark.slow
 @given(st.sampled_from([0.02, 0.03, 0.05]), st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=20)
 def test_coarse_map_holds_mean_height_with_matching_variance(resolution: float, seed: int) -> None:

@@ -231,6 +231,7 @@ def test_crossing_person_leaves_no_obstacle_on_partly_hidden_ground() -> None:
     assert np.abs(after - before)[known].max() < 0.02
 
 
+@pytest.mark.slow
 def test_person_who_stands_and_leaves_is_cleared_behind_blocks() -> None:
     """Check legs that stand still for some scans where only they are seen, and never the ground.
 

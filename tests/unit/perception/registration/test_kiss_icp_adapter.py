@@ -60,6 +60,7 @@ def test_registration_is_deterministic(world, pillars):
     assert first == second
 
 
+@pytest.mark.slow
 def test_flat_floor_keeps_prior_in_unobservable_directions(world):
     registration = KissRegistration(WIDE_CAMERA, WIDE_SENSOR)
     rng = np.random.default_rng(3)

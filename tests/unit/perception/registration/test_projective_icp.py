@@ -250,6 +250,7 @@ def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, obj
         assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("doubtful", [0, 4])
 def test_slip_is_not_assumed_while_frames_contradict_the_map(world, monkeypatch, doubtful):
     """Check a camera that the frame shows 4 cm from its prior, after frames in which a person was in view."""
@@ -265,6 +266,7 @@ def test_slip_is_not_assumed_while_frames_contradict_the_map(world, monkeypatch,
     assert is_taken is (doubtful == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", [True, False])
 def test_slip_is_not_assumed_in_directions_that_the_ground_did_not_show(world, monkeypatch, shown):
     """Check a camera that the frame shows 4 cm from its prior, where the frame before showed x, y and yaw or not."""

@@ -31,6 +31,7 @@ def random_pillars(seed: int, n: int = 12) -> list[Block]:
     return [Block(*places[k], 0.10, 0.10) for k in rng.permutation(len(places))[:n]]
 
 
+@pytest.mark.slow
 def test_level_ground_is_passable() -> None:
     field = field_of(np.zeros((200, 100), dtype=np.float32), HEIGHT)
     assert has_way(PROFILE, SETTINGS, field, STANCE, 1.2)

@@ -101,6 +101,7 @@ def test_table_of_dataclass_builds_it_again() -> None:
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(
     st.builds(
