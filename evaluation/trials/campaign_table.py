@@ -25,7 +25,7 @@ WALKED: Mapping[str, str] = {
     "stepping_stones": "12 cm stones, 5 cm gaps, over an abyss",
     "ditch": "8 to 12 cm wide",
     "mixed": "ramps, rubble, stairs, stones in a row",
-    "stair_map": "a real staircase at a quarter of its height",
+    "worn_stairs": "three of 4 to 5 cm, skewed and chipped",
 }
 # Gaps that are crossed on pillars, with a description.
 PASSAGES: Mapping[str, str] = {

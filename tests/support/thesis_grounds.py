@@ -71,6 +71,6 @@ def grey(heights: Array) -> NDArray[np.uint16]:
 
 
 if __name__ == "__main__":
-    folder = Path(__file__).parents[2] / "shared" / "scenarios"
+    folder = Path(__file__).parents[2] / "shared/scenario/scenarios"
     for name, ground in GROUNDS.items():
         cv2.imwrite(str(folder / f"{name}.png"), grey(ground()))

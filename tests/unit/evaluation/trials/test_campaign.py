@@ -78,12 +78,15 @@ def test_interrupted_campaign_resumes(tmp_path):
 
 
 def test_terrain_with_missing_files_is_skipped_and_reported(tmp_path, monkeypatch):
-    monkeypatch.delenv("SEXTANT_DATA", raising=False)
+    monkeypatch.delenv("MY_MAPS", raising=False)
+    lacking = tmp_path / "mapped.toml"
+    part = 'kind = "height_map"\nfile = "$MY_MAPS/stairs.npy"\nresolution = 0.02\nxy = [0, 0]\n'
+    lacking.write_text(f'name = "mapped"\n[goal]\ndistance = 1.0\n[[terrain]]\n{part}')
     runner = Runner()
-    found = campaign.run_campaign(("stair_map", "flat"), range(1), 1, tmp_path, run=runner)
+    found = campaign.run_campaign((str(lacking), "flat"), range(1), 1, tmp_path / "out", run=runner)
     assert [name for name, *_ in runner.ran] == ["flat"]
-    assert "Left out: stair_map: height map" in campaign_table.markdown(found)
-    assert "SEXTANT_DATA is not set" in found.left_out[0]
+    assert f"Left out: {lacking}: height map" in campaign_table.markdown(found)
+    assert "MY_MAPS is not set" in found.left_out[0]
 
 
 def test_robot_option_applies_to_every_terrain(tmp_path):

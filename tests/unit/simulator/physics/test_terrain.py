@@ -10,6 +10,7 @@ import pytest
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import Terrain, build_terrain
 from sextant.services.simulator.physics.world import World
+from sextant.shared.files import picture_file
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile
@@ -38,7 +39,7 @@ from sextant.shared.scenario.scenario import (
     scenario_names,
 )
 from sextant.shared.scenario.scenario import Terrain as Primitive
-from tests.support.recordings import recording
+from tests.support import worn_stairs
 
 
 def scenario(*terrain: Primitive, folder: Path | str = ".") -> Scenario:
@@ -345,24 +346,36 @@ def test_height_map_can_be_cropped_and_rotated(tmp_path: Path, monkeypatch: pyte
         replace(part, rows=(3, 3))
 
 
-def test_missing_data_folder_setting_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_data_folder_setting_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = HeightMap("$MY_MAPS/stairs/map.npy", 0.02, (0.0, 0.0))
+    monkeypatch.delenv("MY_MAPS", raising=False)
+    with pytest.raises(
+        ConfigError, match=r"the environment variable MY_MAPS is not set; set it to the folder that contains stairs"
+    ):
+        build(part)
+    monkeypatch.setenv("MY_MAPS", str(tmp_path))
+    with pytest.raises(ConfigError, match=r"stairs/map.npy' expected, found no such file"):
+        build(part)
+
+
+def test_every_scenario_is_built_from_what_sextant_brings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SEXTANT_DATA", raising=False)
-    with pytest.raises(ConfigError, match=r"stair_map: terrain: .*the environment variable SEXTANT_DATA is not set"):
-        build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
-    monkeypatch.setenv("SEXTANT_DATA", "/nowhere")
-    with pytest.raises(ConfigError, match=r"'/nowhere/elevation_maps/realStairs_125cm.npy' expected, found no such file"):
-        build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
+    for name in scenario_names():
+        build_terrain(load_scenario(name), np.random.default_rng([1000, 0]))
 
 
-@pytest.mark.data
-def test_mapped_stairs_have_documented_risers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SEXTANT_DATA", str(recording("elevation_maps", "maps.toml").parent))
-    terrain = build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
-    for y in (-0.3, 0.0, 0.3):
+def test_worn_stairs_are_those_of_their_generator() -> None:
+    stored = picture_file.read_grey(worn_stairs.FILE, bits=(16,)).astype(int)
+    assert np.abs(stored - worn_stairs.picture()).max() <= 1
+    terrain = build_terrain(load_scenario("worn_stairs"), np.random.default_rng(0))
+    for y in (-0.4, 0.0, 0.4):
         heights = profile_along(terrain, np.arange(0.0, 2.2, 0.01), y)
-        treads = [np.median(heights[np.abs(heights - level) < 0.015]) for level in (0.0, 0.046, 0.093, 0.141)]
-        assert np.all((np.diff(treads) > 0.042) & (np.diff(treads) < 0.050))
+        levels = np.cumsum([0.0, *worn_stairs.RISES])
+        treads = [np.median(heights[np.abs(heights - level) < 0.015]) for level in levels]
+        np.testing.assert_allclose(treads, levels, atol=0.003)
     assert np.ptp(terrain.raster(-0.3, -0.3, 101, 60, 0.01)) < 0.003
+    landing = terrain.raster(1.56, -0.5, 40, 100, 0.01)
+    assert np.ptp(landing) < 0.006  # map and box meet
 
 
 @pytest.mark.slow
