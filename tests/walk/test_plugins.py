@@ -13,6 +13,7 @@ from sextant.deploy import cli
 from sextant.plugins import ElevationMap
 from sextant.shared.plugins.loading import Plugin
 from sextant.shared.robot.profiles import load_profile
+from tests.support.commands import write_course
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples/plugin"
@@ -42,7 +43,8 @@ def _lines(entries: dict[str, str]) -> str:
 def test_example_plugins_walk_to_the_goal(installed, tmp_path, capsys):
     out = tmp_path / "run"
     chosen = [word for kind, name in NAMES.items() for word in (f"--{kind}", name)]
-    assert cli.main(["run", "flat", "--lockstep", "--seed", "1000", "--out", str(out), *chosen]) == 0
+    course = str(write_course(tmp_path, "short", 0.4))
+    assert cli.main(["run", course, "--lockstep", "--seed", "1000", "--out", str(out), *chosen]) == 0
     report = json.loads((out / "report.json").read_text())
     assert report["success"]
     assert report["plugins"] == NAMES

@@ -27,7 +27,7 @@ def profile(tmp_path: Path) -> Path:
 
 def test_robot_of_documentation_walks(profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "run")
-    course = str(write_course(tmp_path, "level", 1.0))
+    course = str(write_course(tmp_path, "level", 0.4))
     assert cli.main(["run", course, "--lockstep", "--seed", "1000", "--robot", str(profile), "--json", "--out", out]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["robot"] == "small_hexapod"

@@ -58,6 +58,7 @@ def test_plans_are_shown_without_strip_map(tmp_path, story, drawn_crossing):
     assert _share(pixels, GOOD, PLANNED) < 1e-3 < _share(pixels, BLUE, PLANNED)
 
 
+@pytest.mark.slow
 def test_impassable_section_shows_reach_and_reason(tmp_path, story, drawn_crossing):
     none = _drawn(tmp_path / "none.png", story(scenario=PASSAGE, level=True, sections=1, way=False).judged())
     words = (slice(1230, 1500), slice(80, 900))
@@ -70,6 +71,7 @@ def test_impassable_section_shows_reach_and_reason(tmp_path, story, drawn_crossi
     assert np.all(np.abs(none[across].astype(int) - BLUE) < 40, axis=-1).any(axis=1).mean() > 0.4
 
 
+@pytest.mark.slow
 def test_blocking_foothold_is_marked_with_grey_stance(tmp_path, story, drawn_crossing):
     scorer = story(scenario=PASSAGE, level=True, sections=1, way=False).judged()
     (section,) = scorer.trace.sections
@@ -86,6 +88,7 @@ def test_blocking_foothold_is_marked_with_grey_stance(tmp_path, story, drawn_cro
     assert _share(some, grey, PLANNED) < _share(stays, grey, PLANNED) < _share(none, grey, PLANNED)
 
 
+@pytest.mark.slow
 def test_failed_attempt_with_later_sections_is_not_marked(tmp_path, story, drawn_crossing):
     scorer, some = drawn_crossing(story)
     first, *others = scorer.trace.sections
@@ -95,6 +98,7 @@ def test_failed_attempt_with_later_sections_is_not_marked(tmp_path, story, drawn
     assert _share(pixels, red, PLANNED) <= _share(some, red, PLANNED) + 1e-4
 
 
+@pytest.mark.slow
 def test_weak_pillar_is_marked(tmp_path, story, drawn_crossing):
     shaky = replace(PASSAGE, terrain=tuple(replace(p, weak=1) if isinstance(p, Pillars) else p for p in PASSAGE.terrain))
     walked = (slice(630, 1010), slice(120, 1430))
@@ -105,6 +109,7 @@ def test_weak_pillar_is_marked(tmp_path, story, drawn_crossing):
     assert _share(pixels, red, walked) > _share(drawn_crossing(story)[1], red, walked) + 1e-3
 
 
+@pytest.mark.slow
 def test_section_end_stance_uses_last_foothold_of_each_leg(story, drawn_crossing):
     scorer, _ = drawn_crossing(story)
     section = scorer.trace.sections[0]
@@ -119,6 +124,7 @@ def test_section_end_stance_uses_last_foothold_of_each_leg(story, drawn_crossing
     np.testing.assert_array_equal(stance_at_end(replace(section, plan=leant)), section.feet)
 
 
+@pytest.mark.slow
 def test_passage_picture_is_written_only_for_run_with_sections(tmp_path, story, drawn_crossing, monkeypatch):
     drawn = []
     monkeypatch.setattr(passage_picture, "draw", lambda path, *_: drawn.append(path.name))
@@ -150,6 +156,7 @@ def test_merged_strips_keep_forgotten_cells_and_update_sunk_ones(story):
     assert len(passage_picture._strips([older, elsewhere])) == 2
 
 
+@pytest.mark.slow
 def test_caption_counts_walked_steps_instead_of_requested_gait(story):
     scorer = story(scenario=PASSAGE, level=True, sections=1).judged()
     step = replace(scorer.trace.plans[0][1], swing=np.eye(6, dtype=bool)[0])

@@ -14,6 +14,7 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, TerrainMap
 
 
+@pytest.mark.slow
 def test_replayed_recording_reproduces_live_evaluation(story, kept, scenario):
     told = story(moved_leg=2, drift=0.02)
     was = told.judged()

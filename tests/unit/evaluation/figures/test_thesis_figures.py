@@ -35,6 +35,7 @@ def test_missing_thesis_values_are_dashes():
     assert by_name["tilt, jumps"] == ("-", "0.80 deg")
 
 
+@pytest.mark.slow
 def test_walk_picture_of_thesis_test_includes_table(tmp_path, story, monkeypatch):
     cv2 = pytest.importorskip("cv2")
     scorer = story().judged()

@@ -4,6 +4,7 @@ import pytest
 from sextant.evaluation.figures import walk_picture
 
 
+@pytest.mark.slow
 def test_walk_picture_is_drawn_only_for_walking_robot(tmp_path, story):
     cv2 = pytest.importorskip("cv2")
     scorer = story(tilt_deg=2.0).judged()

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,6 @@ import pytest
 from sextant.evaluation.lockstep.lockstep_run import CRASH, LockstepRun, run_lockstep
 from sextant.evaluation.observers.progress import Silent
 from sextant.evaluation.observers.run_observers import RunObservers, clear
-from sextant.evaluation.report import without_timing
 from sextant.evaluation.trials.trials import run_trials
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.reader import Recording
@@ -28,7 +28,8 @@ FLAT = Scenario("short", (Plane(),), Goal(1.0), time_limit_s=1.5)
 PROFILE = load_profile("phantomx_mk2")
 
 
-def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: bool = True) -> list[tuple[str, bytes, int]]:
+@cache
+def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: bool = True) -> tuple[tuple[str, bytes, int], ...]:
     """Return all frames of a run except health, which contains durations."""
     heard: list[tuple[str, bytes, int]] = []
 
@@ -37,15 +38,10 @@ def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: boo
             heard.append((topic.key, frame, at_ns))
 
     LockstepRun(scenario, seed, PROFILE, tap, every_frame=every_frame).run(until_ns)
-    return heard
+    return tuple(heard)
 
 
-def test_lockstep_run_is_deterministic_for_seed() -> None:
-    first = frames(3, S)
-    assert frames(3, S) == first
-    assert frames(4, S) != first
-
-
+@pytest.mark.slow
 def test_skipping_unused_depth_frames_changes_nothing_else() -> None:
     every, used = frames(3, 3 * S), frames(3, 3 * S, every_frame=False)
     pictures = [{at_ns: frame for key, frame, at_ns in heard if key == topics.DEPTH.key} for heard in (every, used)]
@@ -56,13 +52,15 @@ def test_skipping_unused_depth_frames_changes_nothing_else() -> None:
     assert others[0] == others[1]
 
 
+@pytest.mark.slow
 def test_all_depth_frames_are_rendered_with_faults() -> None:
     scenario = replace(FLAT, faults=(Fault(0.5, "mapper", "kill", for_s=0.1),))
     assert frames(3, S, scenario, every_frame=False) == frames(3, S, scenario)
 
 
+@pytest.mark.slow
 def test_all_services_publish_at_nominal_rates() -> None:
-    heard = Counter(key for key, _, at_ns in frames(3, S))
+    heard = Counter(key for key, _, at_ns in frames(3, 3 * S) if at_ns <= S)
     for topic in (topics.DEPTH, topics.ACTUATOR_STATE, topics.ODOMETRY, topics.TRUTH):
         assert abs(heard[topic.key] - topic.rate_hz) <= 0.1 * topic.rate_hz + 2, topic.key
     assert heard[topics.BODY_POSE.key] > 2  # the rate is 15 Hz, after the robot has stood still for a while
@@ -71,6 +69,7 @@ def test_all_services_publish_at_nominal_rates() -> None:
     assert heard[topics.COLOR.key] == 0, "no service asked for colour"
 
 
+@pytest.mark.slow
 def test_killed_service_is_silent_until_restart() -> None:
     faults = (Fault(1.2, "mapper", "kill", for_s=0.4),)
     scenario = Scenario("short", (Plane(),), Goal(1.0), faults=faults)
@@ -80,34 +79,19 @@ def test_killed_service_is_silent_until_restart() -> None:
     assert [t for t in times if t >= 1.6 * S]
 
 
-@pytest.fixture(scope="module")
-def two_runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, object]]:
-    made = []
-    for name in ("a", "b"):
-        out = tmp_path_factory.mktemp(name)
-        made.append((out, without_timing(run_lockstep(FLAT, 3, out))))
-    return made
-
-
-def test_run_writes_report_summary_and_recording(two_runs: list[tuple[Path, object]]) -> None:
-    out, report = two_runs[0]
-    assert sorted(path.name for path in out.iterdir()) == ["recording.mcap", "report.json", "summary.png"]
-    assert not report.success  # type: ignore[attr-defined]
-    assert "time limit" in report.reason  # type: ignore[attr-defined]
-
-
-def test_reports_and_recordings_are_equal_for_same_seed(two_runs: list[tuple[Path, object]]) -> None:
-    (a, first), (b, second) = two_runs
-    assert repr(first) == repr(second), "compared as text: a metric that was not measured is NaN"
-    said = [[frame for frame in Recording(out / "recording.mcap").frames() if frame[0] != topics.HEALTH.key] for out in (a, b)]
-    assert said[0] == said[1]
-    assert len(said[0]) > 200
+@pytest.mark.slow
+def test_run_writes_report_summary_and_recording(tmp_path: Path) -> None:
+    report = run_lockstep(FLAT, 3, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["recording.mcap", "report.json", "summary.png"]
+    assert not report.success
+    assert "time limit" in report.reason
 
 
 def crash(*_: object) -> None:
     raise IndexError("index 5 is out of bounds")
 
 
+@pytest.mark.slow
 def test_service_exception_ends_run_with_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.services.planner.service.Planner.step", crash)
     report = run_lockstep(FLAT, 3, tmp_path)
@@ -153,6 +137,7 @@ print(hashlib.blake2s(repr(frames(3, 3 * S)).encode()).hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_services_do_not_depend_on_machine_clock() -> None:
     done = subprocess.run([sys.executable, "-c", NO_MACHINE_CLOCK], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -167,6 +152,7 @@ class CapturedProgress(Silent):
         self.said.append(text)
 
 
+@pytest.mark.slow
 def test_full_disk_ends_recording_and_walk_is_still_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sextant.shared.recording.writer.RESERVE_BYTES", 1 << 60)
     told = CapturedProgress()

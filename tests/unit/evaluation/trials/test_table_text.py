@@ -55,6 +55,7 @@ def test_intervals_in_latex_are_those_of_markdown() -> None:
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
 
 
+@pytest.mark.slow
 def test_table_command_prints_each_format(capsys: pytest.CaptureFixture[str]) -> None:
     passages = results_store.read(DOCS / "passages.jsonl")
     for of, table in (("reached", content(of_runs(passages), "reached")), ("sections", sections(passages))):

@@ -113,6 +113,7 @@ def test_invalid_millimetre_scan_is_refused(index: int, bad: NDArray[Any]) -> No
         ValidatedScan.of_millimetres(*arguments)
 
 
+@pytest.mark.slow
 def test_millimetre_scan_gives_same_map_as_metre_scan() -> None:
     rng = np.random.default_rng(4)
     metres, wire = ElevationGrid(64), ElevationGrid(64)

@@ -28,6 +28,7 @@ class Run:
         self.itself = self
 
 
+@pytest.mark.slow
 def test_garbage_of_earlier_run_is_collected_at_next_start() -> None:
     run = Run()
     left = weakref.ref(run)
