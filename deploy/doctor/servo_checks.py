@@ -101,7 +101,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
         yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
         return
     wrong = problems(names, seen, model)
-    words = "; ".join(problem.words for problem in wrong.values())
+    words = "; ".join(dict.fromkeys(problem.words for problem in wrong.values()))
     advice = "; ".join(dict.fromkeys(problem.advice for problem in wrong.values()))
     pulling = sum(bool(one[dxl.TORQUE_ENABLE]) for i, one in seen.items() if i not in wrong)
     fine = f"all {len(names)} servos answer" + (f"; torque is on at {pulling} of them" if pulling else "")

@@ -42,7 +42,7 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     seen = call(bus, profile.servo_names)
     wrong = problems(profile.servo_names, seen, dxl.MODEL_NAMED[profile.servo.model])
     low = profile.battery.warn_voltage
-    told = [f"{words}: {advice}" for words, advice in wrong.values()]
+    told = [f"{words}: {advice}" for words, advice in dict.fromkeys(wrong.values())]
     told += [
         f"{named(i, bus.names)} {words}" for i, one in seen.items() if i not in wrong and (words := health_problem(one, low))
     ]

@@ -18,6 +18,7 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     ServoScan,
     ensure,
     health_problem,
+    is_unassigned,
     named,
     problems,
     reset_servos,
@@ -122,10 +123,14 @@ def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None
 
 
 def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
-    """Return a table of the servos, one per line."""
+    """Return a table of the servos, one per line; "?" follows the joint of a servo with factory settings."""
+    answering = {seen.servo_id: seen for _, seen in found}
+    unassigned = is_unassigned(answering, profile.servo_names, dxl.MODEL_NAMED[profile.servo.model])
     lines = [f"{'id':>3}  {'baud':>7}  {'model':<8} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
     for rate, seen in found:
         name = profile.servo_names.get(seen.servo_id, "")
+        if seen.servo_id == FACTORY_ID and unassigned:
+            name = f"{name}?"
         if seen.response is not BusResponse.CLEAR:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
             continue
@@ -173,7 +178,7 @@ def verdict(
             and (words := health_problem(seen, profile.battery.warn_voltage))
         ):
             wrong[i] = Problem(f"{named(i, names)} {words}", "correct this before anything moves")
-    return [*unanswered, *wrong.values(), *hampered((seen for i, seen in heard.items() if i in names), profile)]
+    return [*unanswered, *dict.fromkeys(wrong.values()), *hampered((seen for i, seen in heard.items() if i in names), profile)]
 
 
 def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:

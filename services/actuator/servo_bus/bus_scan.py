@@ -4,7 +4,7 @@ Two servos with one id answer at the same time. If their return delays differ, t
 the answers collide, and reads of registers that differ between the two are broken.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -208,9 +208,10 @@ def call(bus: Bus, names: Mapping[int, str]) -> dict[int, ServoScan]:
 
 
 def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan], model: ServoModel) -> dict[int, Problem]:
-    """Return the problems of a robot's servos, by id.
+    """Return the problems of a robot's servos, by id; servos that one fault of a cable silences share one problem.
 
-    A foreign servo with the factory id may be a missing one after a reset.
+    A foreign servo with the factory id may be a missing one after a reset, and so may the servo of the joint with that id, if
+    it has factory settings and others are missing.
 
     Args:
         names: Id -> leg and joint, as "left rear femur"; empty without a name.
@@ -218,14 +219,74 @@ def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan], model: Ser
         model: The expected type of all servos.
     """
     missing = [i for i in names if i not in seen]
-    found = {i: problem for i in names if (problem := _wrong(seen.get(i), model))}
+    found = {i: problem for i in seen if i in names and (problem := _wrong(seen[i], model))}
     for i in sorted(seen.keys() - names.keys()):
         found[i] = Problem("is not one of the robot's servos", SET_ID)
     first = seen.get(FACTORY_ID)
     if first and missing and (FACTORY_ID not in names or first.response is BusResponse.DOUBLED):
         words, advice = found[FACTORY_ID]
         found[FACTORY_ID] = Problem(f"{words}; {reset_servos(missing, names)}", advice)
-    return {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
+    if FACTORY_ID not in found and is_unassigned(seen, names, model):
+        words = f"has factory settings, so it may be a new servo of another joint; {reset_servos(missing, names)}"
+        found[FACTORY_ID] = Problem(words, f"{SET_ID}, and type the leg and joint where it is mounted")
+    alone = {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
+    wrong = alone | unreachable(missing, names)
+    return {i: wrong[i] for i in (*names, *wrong) if i in wrong}
+
+
+def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str], model: ServoModel) -> bool:
+    """Return whether the servo with the factory id may belong to any joint, although a joint has that id.
+
+    It has the return delay of the factory, which `sextant servos set-id` changes, and no other servo of the robot has it;
+    servos that another program has set up keep it. If none is missing, it is the servo of that joint.
+    """
+    first = seen.get(FACTORY_ID)
+    if first is None or FACTORY_ID not in names or first.response is not BusResponse.CLEAR or names.keys() <= seen.keys():
+        return False
+    others = [one for i, one in seen.items() if i in names and i != FACTORY_ID and one.response is BusResponse.CLEAR]
+    delay = model.default(dxl.RETURN_DELAY)
+    return first[dxl.RETURN_DELAY] == delay and all(one[dxl.RETURN_DELAY] != delay for one in others)
+
+
+def unreachable(missing: Collection[int], names: Mapping[int, str]) -> dict[int, Problem]:
+    """Return the problem of each servo that does not answer.
+
+    The servos of a leg are a chain from coxa to tibia. Those at its end that do not answer share one problem, with the cable
+    that is its likely cause, and so do the servos of all legs that do not answer at all. A servo with an answering one behind
+    it has a separate fault.
+    """
+    legs: dict[str, list[int]] = {}
+    for i, name in names.items():
+        legs.setdefault(name.rpartition(" ")[0] or f"{i}", []).append(i)
+    whole = [leg for leg, chain in legs.items() if len(chain) > 1 and all(i in missing for i in chain)]
+    found: dict[int, Problem] = {}
+    for leg, chain in legs.items():
+        ahead = max((k + 1 for k, i in enumerate(chain) if i not in missing), default=0)
+        for i in (i for i in chain[:ahead] if i in missing):
+            words = f"{named(i, names)} does not answer, but the servo behind it does"
+            found[i] = Problem(
+                words, f"the chain is intact, so check its id and baud rate: {SET_ID}; on a hub, check its cable"
+            )
+        silent = chain[ahead:]
+        if leg not in whole and silent:
+            place = f"between the {names[chain[ahead - 1]]} and the {names[silent[0]]}" if ahead else "of this servo"
+            found |= dict.fromkeys(
+                silent, Problem(f"{_listed(silent, names)} not answer", f"check the cable {place}, and its plugs")
+            )
+    if whole:
+        silent = [i for leg in whole for i in legs[leg]]
+        which = f"the {whole[0]} leg" if len(whole) == 1 else f"{len(whole)} legs ({', '.join(whole)})"
+        words = f"none of the {len(silent)} servos of {which} answers (ids {', '.join(map(str, silent))})"
+        place = "the cable before its coxa" if len(whole) == 1 else "the power and the cable or hub that they share"
+        found |= dict.fromkeys(silent, Problem(words, f"check {place}"))
+    return found
+
+
+def _listed(silent: Sequence[int], names: Mapping[int, str]) -> str:
+    """Return servos as the subject of a verb: "servo 9 (left rear femur) does"."""
+    if len(silent) == 1:
+        return f"{named(silent[0], names)} does"
+    return f"{' and '.join(named(i, names) for i in silent)} do"
 
 
 def reset_servos(missing: Iterable[int], names: Mapping[int, str]) -> str:
@@ -241,10 +302,8 @@ def named(servo_id: int, names: Mapping[int, str]) -> str:
     return f"servo {servo_id} ({name})" if name else f"servo {servo_id}"
 
 
-def _wrong(seen: ServoScan | None, model: ServoModel) -> Problem | None:
-    """Return the problem of one servo, or None."""
-    if seen is None:
-        return Problem("does not answer", "check its cable and power: all servos behind it in the chain are silent, too")
+def _wrong(seen: ServoScan, model: ServoModel) -> Problem | None:
+    """Return the problem of a servo that answers, or None."""
     if seen.response is not BusResponse.CLEAR:
         return Problem(seen.response.value, _REMEDIES[seen.response])
     if seen[dxl.MODEL_NUMBER] != model.number:

@@ -289,7 +289,7 @@ class ServoBus:
             if words := bus_scan.prepare(self, seen[i], self._lock):
                 wrong[i] = Problem(f"{bus_scan.named(i, self.names)} {words}", "")
         if wrong:
-            words = "; ".join(problem.words for problem in wrong.values())
+            words = "; ".join(dict.fromkeys(problem.words for problem in wrong.values()))
             raise BusSetupError(
                 f"{len(wrong.keys() & self.names.keys())} of {len(self)} servos are not ready: {words}; "
                 f"`sextant servos scan` says what to do"

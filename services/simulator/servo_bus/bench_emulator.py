@@ -117,8 +117,10 @@ class BenchEmulator(ServoBusEmulator):
         if words[:1] == ["plug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
             self.plug(self.boxed[: int(words[1]) if len(words) == 2 else 1])
         elif words[:1] == ["unplug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
-            rows = self._with_id(int(words[1])) if len(words) == 2 else list(self._plugged)
-            if not self._plugged.intersection(rows):
+            rows = sorted(self._plugged)
+            if len(words) == 2:  # one servo, also if several have the id
+                rows = [row for row in rows if self._value(row, dxl.ID) == int(words[1])][-1:]
+            if not rows:
                 raise ValueError(f"the id of a servo that is plugged in expected, found {line.strip()!r}; `list` shows them")
             self.unplug(rows)
         elif bend and bend[1] in LEGS:

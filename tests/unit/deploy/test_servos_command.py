@@ -134,13 +134,17 @@ def test_scan_json_and_text_outputs_agree(bench: BenchEmulator, url: str, capsys
     assert all(row["joint"] in told for row in table["servos"])
 
 
-def test_scan_prints_shared_advice_once(bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    for servo_id in (9, 10, 11):
+def test_scan_names_one_cable_for_the_servos_behind_it(
+    bench: BenchEmulator, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for servo_id in (9, 11):
         bench.unplug(bench._with_id(servo_id))
     assert cli.main(["servos", "scan", "--port", url, "--ids", "1:19"]) == 1
     told = capsys.readouterr().out.splitlines()
-    assert {line.split(" (")[0] for line in told[-4:-1]} == {"servo 9", "servo 10", "servo 11"}
-    assert told[-1].startswith("  -> check its cable")
+    assert told[-2:] == [
+        "servo 9 (left rear femur) and servo 11 (left rear tibia) do not answer",
+        "  -> check the cable between the left rear coxa and the left rear femur, and its plugs",
+    ]
     assert sum("->" in line for line in told) == 1
 
 
@@ -152,7 +156,11 @@ def test_no_answering_servos_is_reported_once(bench: BenchEmulator, url: str, ca
     assert told[1] == "none of 3 servos answers"
     assert len(told) == 3
     assert cli.main([*words, "--json"]) == 1
-    assert len(json.loads(capsys.readouterr().out)["problems"]) == 3, "a script receives each"
+    problems = json.loads(capsys.readouterr().out)["problems"]
+    assert [one["words"] for one in problems] == [
+        "none of the 2 servos of the left front leg answers (ids 1, 3)",
+        "servo 2 (right front coxa) does not answer",
+    ]
     assert cli.main(["servos", "off", "--port", url]) == 1
     told = capsys.readouterr().out.splitlines()
     assert told[0] == "each of 18 servos does not answer, or refuses the order"

@@ -177,7 +177,7 @@ def test_calibration_is_refused_with_faulty_servos() -> None:
     desk.bench.unplug([desk.row(9)])
     done, _, builder = run_calibration(desk, [])
     assert not done
-    assert "servo 9 (left rear femur) does not answer: check its cable" in builder.all_told
+    assert "servo 9 (left rear femur) does not answer, but the servo behind it does: the chain is intact" in builder.all_told
 
 
 def test_error_names_servo_that_stops_responding() -> None:

@@ -3,6 +3,7 @@
 The tests cover the scan, naming and set-up of servos, and the refusals.
 """
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -86,7 +87,7 @@ def test_scan_problems_name_leg_and_joint_with_advice() -> None:
     assert set(wrong) == {
         "servo 12 (right rear tibia) does not answer",
         "servo 16 (right middle femur) is model 64 (RX-64), expected 12 (AX-12A)",
-        "servo 7 (left rear coxa) does not answer",
+        "servo 7 (left rear coxa) does not answer, but the servo behind it does",
         "servo 200 is not one of the robot's servos",
     }
 
@@ -108,7 +109,7 @@ def test_reset_rx_64_is_found_at_factory_baud_rate() -> None:
     lost = RX.legs[3].servo_ids[1]
     desk.reset(lost)
     words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), RX)]
-    assert f"servo {lost} (right rear femur) does not answer" in words
+    assert f"servo {lost} (right rear femur) does not answer, but the servo behind it does" in words
     reset = f"servo 1 answers at 57143 baud, 1000000 expected; a reset sets id 1: this may be servo {lost} (right rear femur)"
     assert reset in words
 
@@ -396,10 +397,48 @@ def test_data_sheet_registers_give_no_problems(profile: RobotProfile) -> None:
 
 def test_servos_outside_scan_range_are_not_reported_missing() -> None:
     desk = Desk()
-    desk.bench.unplug([desk.row(9)])
+    desk.bench.unplug([desk.row(i) for i in (9, 11)])
     asked = range(5, 12)
     found = set_ids.scan(line(desk), asked)
-    assert [one.words for one in set_ids.verdict(found, PHANTOMX, asked)] == ["servo 9 (left rear femur) does not answer"]
+    assert [one.words for one in set_ids.verdict(found, PHANTOMX, asked)] == [
+        "servo 9 (left rear femur) and servo 11 (left rear tibia) do not answer"
+    ]
+
+
+def new_servo_at_joint_one(*others: int) -> Desk:
+    """Return a robot of which only a new servo and these are plugged in."""
+    desk = Desk()
+    left = [desk.row(i) for i in (1, *others)]
+    desk.reset(1)
+    desk.bench.unplug([row for row in range(18) if row not in left])
+    return desk
+
+
+@pytest.mark.parametrize("others", [(), (3, 5)])
+def test_new_servo_is_not_taken_for_the_joint_with_its_id(others: tuple[int, ...]) -> None:
+    desk = new_servo_at_joint_one(*others)
+    found = set_ids.scan(line(desk))
+    (one,) = [problem for problem in set_ids.verdict(found, PHANTOMX) if problem.words.startswith("servo 1 ")]
+    assert one.words.startswith("servo 1 (left front coxa) has factory settings, so it may be a new servo of another joint")
+    assert one.advice.endswith("type the leg and joint where it is mounted")
+    assert re.search(r"^  1 .* left front coxa\?$", set_ids.in_words(found, PHANTOMX), re.MULTILINE)
+
+
+def test_servo_with_factory_settings_is_that_of_its_joint_if_all_answer() -> None:
+    desk = Desk()
+    desk.change(1, dxl.RETURN_DELAY, 250)
+    found = set_ids.scan(line(desk))
+    assert set_ids.verdict(found, PHANTOMX) == []
+    assert "left front coxa?" not in set_ids.in_words(found, PHANTOMX)
+
+
+def test_return_delay_tells_nothing_if_another_program_has_set_up_the_servos() -> None:
+    desk = Desk()
+    for i in desk.profile.servo_names:
+        desk.change(i, dxl.RETURN_DELAY, 250)
+    desk.bench.unplug([desk.row(11)])
+    words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)]
+    assert words == ["servo 11 (left rear tibia) does not answer"]
 
 
 def test_all_servos_missing_is_one_problem_besides_unknown_ids() -> None:

@@ -35,6 +35,40 @@ def test_a_missing_servo_is_named_by_leg_and_joint(servo_id: int) -> None:
     assert "reset" not in words
 
 
+CHAINS = {
+    (11,): ("servo 11 (left rear tibia) does not answer", "between the left rear femur and the left rear tibia"),
+    (9, 11): (
+        "servo 9 (left rear femur) and servo 11 (left rear tibia) do not",
+        "between the left rear coxa and the left rear femur",
+    ),
+    (7, 9, 11): ("none of the 3 servos of the left rear leg answers (ids 7, 9, 11)", "check the cable before its coxa"),
+    (7, 9, 11, 1, 3, 5): ("none of the 6 servos of 2 legs (left front, left rear) answers", "the cable or hub that they share"),
+    (9,): ("servo 9 (left rear femur) does not answer, but the servo behind it does", "the chain is intact"),
+}
+
+
+@pytest.mark.parametrize("silent", CHAINS)
+def test_one_fault_of_a_chain_is_one_problem_with_its_place(silent: tuple[int, ...]) -> None:
+    desk = Desk()
+    desk.bench.unplug([desk.row(i) for i in silent])
+    wrong = bus_scan.problems(NAMES, bus_scan.call(desk.bus(), NAMES), dxl.AX_12A)
+    words, place = CHAINS[silent]
+    assert set(wrong) == set(silent)
+    (problem,) = set(wrong.values())
+    assert words in problem.words
+    assert place in problem.advice
+    assert setup_error(desk).count(problem.words) == 1
+    assert setup_error(desk).startswith(f"{len(silent)} of 18 servos are not ready")
+
+
+def test_two_faults_of_a_leg_are_two_problems() -> None:
+    desk = Desk()
+    desk.bench.unplug([desk.row(i) for i in (7, 11)])
+    wrong = bus_scan.problems(NAMES, bus_scan.call(desk.bus(), NAMES), dxl.AX_12A)
+    assert "the servo behind it does" in wrong[7].words
+    assert "between the left rear femur and the left rear tibia" in wrong[11].advice
+
+
 def test_a_servo_of_another_model_is_named() -> None:
     desk = Desk()
     desk.tables[desk.row(FEMUR), dxl.MODEL_NUMBER.address] = 64

@@ -79,7 +79,7 @@ def test_missing_servo_is_named_and_others_are_checked(bench: BenchEmulator) -> 
     bench.unplug(bench._with_id(9))
     checks = run_checks(bench)
     assert checks["servo port"].level is Level.FAIL
-    assert checks["servo port"].found == "servo 9 (left rear femur) does not answer"
+    assert checks["servo port"].found == "servo 9 (left rear femur) does not answer, but the servo behind it does"
     assert checks["servo voltage"].level is Level.OK
 
 

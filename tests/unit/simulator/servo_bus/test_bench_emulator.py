@@ -68,6 +68,7 @@ def test_new_servos_can_be_plugged_in_and_unplugged() -> None:
     assert len(answers(made, dxl.ping(1), 10 * MS)) == 1
     made.receive(dxl.write(1, dxl.ID.address, b"\x05"), 20 * MS)
     assert made.obey("plug 2") == "3 servos are plugged in: 1, 1, 5; 15 are not"
+    assert made.obey("unplug 1") == "2 servos are plugged in: 1, 5; 16 are not"
     assert made.obey("unplug 1") == "1 servos are plugged in: 5; 17 are not"
     assert made.obey("unplug") == "0 servos are plugged in: none; 18 are not"
     assert answers(made, dxl.ping(5), 30 * MS) == []
