@@ -20,78 +20,75 @@ ARRIVED = "goal reached"  # the reason of a run that succeeds by arriving
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """The 95th percentile and the maximum."""
+    """Angle between two attitudes over a walk."""
 
-    p95: float = _NAN
-    max: float = _NAN
+    p95: float = _NAN  # [deg] 95th percentile
+    max: float = _NAN  # [deg] maximum
 
 
 @dataclass(frozen=True, slots=True)
 class Torque:
-    """Motor torque [N m] over all joints, and the highest RMS of one joint."""
+    """Motor torque over a walk."""
 
-    p95: float = _NAN
-    max: float = _NAN
-    rms_worst_joint: float = _NAN
+    p95: float = _NAN  # [N m] 95th percentile over all joints
+    max: float = _NAN  # [N m] maximum over all joints
+    rms_worst_joint: float = _NAN  # [N m] RMS of the joint with the highest one
 
 
 @dataclass(frozen=True, slots=True)
 class HeightError:
-    """True minus commanded height of the body [m]."""
+    """True minus commanded height of the body."""
 
-    mean: float = _NAN
-    rms: float = _NAN
+    mean: float = _NAN  # [m] mean; positive: the body is too high
+    rms: float = _NAN  # [m] root mean square
 
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """Sideways motion of a planted foot in a step [m]."""
+    """Horizontal motion of a planted foot in a step."""
 
-    p50: float = _NAN
-    p95: float = _NAN
+    p50: float = _NAN  # [m] median
+    p95: float = _NAN  # [m] 95th percentile
 
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """Estimated minus true position of the body [m]."""
+    """Distance of the estimated position of the body from the true one."""
 
-    rms: float = _NAN
-    final: float = _NAN
+    rms: float = _NAN  # [m] root mean square over the walk
+    final: float = _NAN  # [m] at the end of the walk
 
 
 @dataclass(frozen=True, slots=True)
 class MapError:
-    """Mapped minus true height [m] within 1 m of the robot, and coverage.
+    """Mapped minus true height within 1 m of the robot."""
 
-    Coverage is the known share [1] of the ground just ahead.
-    """
-
-    rmse: float = _NAN
-    bias: float = _NAN
-    p95: float = _NAN
-    coverage: float = _NAN
+    rmse: float = _NAN  # [m] root mean square error
+    bias: float = _NAN  # [m] mean error; positive: the map is too high
+    p95: float = _NAN  # [m] 95th percentile of the absolute error
+    coverage: float = _NAN  # [1] known share of the ground just ahead
 
 
 @dataclass(frozen=True, slots=True)
 class CourseMap:
-    """Mosaic of a run's maps minus the true ground [m].
+    """Mosaic of a run's maps minus the true ground.
 
     Each cell holds its newest measurement. Names are those of `python -m benchmarks accuracy`; assumed cells are excluded.
     """
 
-    rmse: float = _NAN
-    off_edges: float = _NAN  # rmse of cells further than 2 cm from an edge
-    bias: float = _NAN
-    edge: float = _NAN  # median distance from a true edge higher than 2 cm to the mapped edge
+    rmse: float = _NAN  # [m] root mean square error
+    off_edges: float = _NAN  # [m] root mean square error of cells further than 2 cm from an edge
+    bias: float = _NAN  # [m] mean error; positive: the map is too high
+    edge: float = _NAN  # [m] median distance from a true edge higher than 2 cm to the mapped edge
     coverage: float = _NAN  # [1] known share of the cells in the camera's view
 
 
 @dataclass(frozen=True, slots=True)
 class FootholdEdge:
-    """Distance [m] of footholds on narrow tops from the nearest edge."""
+    """Distance of footholds on narrow tops from the nearest edge."""
 
-    p05: float = _NAN
-    median: float = _NAN
+    p05: float = _NAN  # [m] 5th percentile
+    median: float = _NAN  # [m] median
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,37 +100,38 @@ class Section:
 
     state: str  # result of the search
     reason: str  # why there is no way; empty if there is one
-    generated: int  # number of nodes, n_g of Masri
-    expanded: int  # number of expansions, successful or not, n_e of Masri
-    planning_ms: float  # timing
-    steps: int  # planned steps of legs: 0 where there is no way
+    generated: int  # [1] number of nodes, n_g of Masri
+    expanded: int  # [1] number of expansions, successful or not, n_e of Masri
+    planning_ms: float  # [ms] duration of the search; timing, so not reproducible
+    steps: int  # [1] planned steps of legs: 0 where there is no way
 
 
 @dataclass(frozen=True, slots=True)
 class Passage:
     """How a gap was crossed on pillars; without pillars only `feet_off` applies."""
 
-    pillar_touchdowns: int = 0  # of feet on pillars
-    foothold_edge_m: FootholdEdge = FootholdEdge()
-    feet_off: int = 0  # times that a standing foot was over nothing, next to a pillar, or in the gap
-    passable: bool | None = None  # by an exhaustive search offline; null if no search was made or its result is unknown
-    sections: tuple[Section, ...] = ()  # in order: one for each stop to plan
+    pillar_touchdowns: int = 0  # [1] touchdowns of feet on pillars
+    foothold_edge_m: FootholdEdge = FootholdEdge()  # distance of footholds from the nearest edge
+    feet_off: int = 0  # [1] times that a standing foot was over nothing, next to a pillar, or in the gap
+    # Whether there is a way across, by an exhaustive search offline; null if no search was made or its result is unknown
+    passable: bool | None = None
+    sections: tuple[Section, ...] = ()  # results of planning in order: one for each stop to plan
 
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """Duration of a stage of the work [ms]."""
+    """Duration of a stage of a service's work."""
 
-    p50: float
-    p99: float
+    p50: float  # [ms] median
+    p99: float  # [ms] 99th percentile
 
 
 @dataclass(frozen=True, slots=True)
 class InputAges:
-    """Age of a service's input when it is used [s]."""
+    """Age of a service's input when it is used."""
 
-    max: float  # of all uses
-    limit: float  # above which the input is unusable
+    max: float  # [s] maximum of all uses
+    limit: float  # [s] above which the input is unusable
     late: float  # [1] share of the uses above the limit
 
 
@@ -145,40 +143,41 @@ class Report:
     """
 
     scenario: str  # name of the course
-    seed: int  # of everything random
+    seed: int  # [1] of everything random
     robot: str  # name of the profile
-    gait: str  # of the walk
-    blind: bool  # the baseline without a map
+    gait: str  # of the walk: tripod, ripple or wave
+    blind: bool  # whether it is the baseline without a map
     success: bool  # goal truly reached, or correctly refused; no fall, no servo shutdown, on a route no collision
     reason: str  # why it ended, as text
-    distance_m: float  # true progress along the initial heading
-    duration_s: float  # from the first step to the goal, or to the end of a run that did not reach it
-    speed_mps: float  # true mean over that time
-    falls: int  # times that the body fell
-    shutdowns: int  # servos that latched an error
-    steps: int  # of groups of legs
-    tilt_deg: Spread = Spread()  # from the commanded attitude
-    commanded_tilt_deg: Spread = Spread()
-    torque_nm: Torque = Torque()
-    touchdowns: int = 0  # of feet
-    raised_touchdowns: int = 0  # on ground more than 5 mm above the start: blocks and stairs
-    raised_block_touchdowns: int = 0  # those on blocks
-    body_height_error_m: HeightError = HeightError()
-    body_height_oscillation_m: float = _NAN  # 5th to 95th percentile of the true height, meaningful on level ground only
-    slip_m_per_step: Slip = Slip()
-    missteps: int = 0  # touchdowns where the true ground is no foothold
-    collisions: int = 0  # times that a foot or the body hit an obstacle higher than a step, or a foot hung in a hole
-    min_stability_margin_m: float = _NAN  # least margin of the body inside the feet that carry load
-    pose_error_m: PoseError = PoseError()
-    map_error_m: MapError = MapError()
-    course_map_m: CourseMap = CourseMap()
-    passage: Passage = Passage()
-    real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not reproducible
-    stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing, too
+    distance_m: float  # [m] true progress along the initial heading
+    duration_s: float  # [s] from the first step to the goal, or to the end of a run that did not reach it
+    speed_mps: float  # [m/s] true mean over that time
+    falls: int  # [1] times that the body fell
+    shutdowns: int  # [1] servos that latched an error
+    steps: int  # [1] steps of a group of legs
+    tilt_deg: Spread = Spread()  # angle between true and commanded attitude of the body
+    commanded_tilt_deg: Spread = Spread()  # angle between commanded attitude and upright
+    torque_nm: Torque = Torque()  # of the motors
+    touchdowns: int = 0  # [1] touchdowns of all feet
+    raised_touchdowns: int = 0  # [1] those on ground more than 5 mm above the start: blocks and stairs
+    raised_block_touchdowns: int = 0  # [1] those on blocks
+    body_height_error_m: HeightError = HeightError()  # true minus commanded height of the body
+    body_height_oscillation_m: float = _NAN  # [m] 5th to 95th percentile of the true height, meaningful on level ground only
+    slip_m_per_step: Slip = Slip()  # horizontal motion of planted feet
+    missteps: int = 0  # [1] touchdowns where the true ground is no foothold
+    collisions: int = 0  # [1] times that a foot or the body hit an obstacle higher than a step, or a foot hung in a hole
+    min_stability_margin_m: float = _NAN  # [m] least margin of the body inside the feet that carry load
+    pose_error_m: PoseError = PoseError()  # of the estimated pose
+    map_error_m: MapError = MapError()  # of the map around the robot
+    course_map_m: CourseMap = CourseMap()  # of all maps of the run together
+    passage: Passage = Passage()  # how a gap was crossed
+    real_time_factor: float = _NAN  # [1] simulated over elapsed time; timing, so not reproducible
+    stages_ms: dict[str, StageTime] = field(default_factory=dict)  # duration of each `service.stage`; timing, too
     too_slow: str = ""  # why the computer was too slow, as text; empty if it was not
     late_s: float = 0.0  # [s] of the run in which services had inputs that were too old, because of a slow computer or link
-    input_ages_s: dict[str, InputAges] = field(default_factory=dict)  # "service input": the input is a topic key or "beat"
-    missed_beats: dict[str, int] = field(default_factory=dict)  # missed cycles of each service with its own clock
+    # Ages of each "service input"; the input is a topic key or "beat"
+    input_ages_s: dict[str, InputAges] = field(default_factory=dict)
+    missed_beats: dict[str, int] = field(default_factory=dict)  # [1] missed cycles of each service with its own clock
     params: dict[str, Any] = field(default_factory=dict)  # all parameters of the services; empty if they were started elsewhere
     plugins: dict[str, str] = field(default_factory=dict)  # planner, foothold and registration in place of Sextant's own
 

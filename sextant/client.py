@@ -35,6 +35,7 @@ from sextant.shared.wire.transport import Endpoints, ZenohLink
 Command: TypeAlias = Literal["off", "stop", "stand", "walk", "sit"]
 
 CONNECT_S = 10.0  # [s] in which the actuator has to publish its first state
+READY_S = 120.0  # [s] in which all services have to report; the first start compiles for a minute
 COMMAND_S = 20.0  # [s] in which a command has to be finished
 BLOCKED_S = 20.0  # [s] for which the planner may be blocked, or the robot silent, before `goto` gives up
 _SILENT_S = 2.0  # [s] without a state, after which the actuator counts as silent
@@ -53,11 +54,17 @@ class ClientError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The newest message of each kind from the robot, at most 2 s old."""
+    """The newest message of each kind from the robot, at most 2 s old.
+
+    A client can connect before all services have started. `Client.wait_until_ready` waits until no message is missing.
+    """
 
     actuator: ActuatorState
+    """State of the legs; a client has one from the beginning."""
     pose: BodyPose | None
+    """Estimated pose of the body in {world}; None until perception has registered the first scan, and without perception."""
     planner: PlannerStatus | None
+    """State of the planner and the reason for it; None until the planner has started."""
 
 
 class Client:
@@ -68,6 +75,7 @@ class Client:
     has accepted it. A command that fails is not repeated. ::
 
         with sextant.Client("tcp/robot.local:7447") as robot:
+            robot.wait_until_ready()
             robot.stand()
             robot.walk(0.08)
             time.sleep(5.0)
@@ -152,6 +160,20 @@ class Client:
             ClientError: The actuator has published no state for 2 s.
         """
         return self.status.actuator
+
+    def wait_until_ready(self, within_s: float = READY_S) -> None:
+        """Wait until the robot has a pose and its planner runs, so that `status.pose` and `status.planner` are not None.
+
+        `walk` and `goto` can be called before: the robot then holds until its services have started.
+
+        Raises:
+            ClientError: They do not report in time; the message names what is missing.
+        """
+
+        def is_ready(status: Status) -> bool:
+            return status.pose is not None and status.planner is not None
+
+        self._until(is_ready, within_s, f"the robot is not ready within {within_s:g} s")
 
     def stand(self) -> None:
         """Stand up.
@@ -452,5 +474,10 @@ class _Blocked:
 
 
 def _text(status: Status) -> str:
-    planner = f"; planner {status.planner.state}: {status.planner.reason}" if status.planner is not None else ""
-    return f"the robot is in mode {status.actuator.mode} ({status.actuator.reason}){planner}"
+    legs, planner = status.actuator, status.planner
+    parts = (
+        f"the robot is in mode {legs.mode} ({legs.reason})",
+        "no pose from perception" if status.pose is None else "",
+        "no message from the planner" if planner is None else f"planner {planner.state}: {planner.reason}",
+    )
+    return "; ".join(filter(None, parts))

@@ -25,7 +25,10 @@ _keys = argument("keys", "topics to receive (default: all except camera images)"
 @topics.command("list")
 @options.as_json
 def list_topics(as_json: bool) -> int:
-    """Print the topic table."""
+    """Print the topic table of this version; it needs no robot.
+
+    `sextant topics hz` shows which topics a running robot publishes, and `sextant topics echo` their messages.
+    """
     from sextant.shared.wire.topics import TOPICS
 
     if as_json:

@@ -6,6 +6,7 @@ from pathlib import Path
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say, say_if_it_compiles
 from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, option
+from sextant.deploy.terminal.interrupts import explained_interrupts
 from sextant.shared.files import whole_files
 
 _GROUPS = ("all", "passages", "troubles")
@@ -43,17 +44,27 @@ def trials(
     progress = open_progress(as_json)
     say_if_it_compiles(progress)
     progress.say(f"{course.name}: {len(seeds)} seeds, {jobs} at a time; a line follows for each walk that ends")
-    seeing = batches.run_trials(course, seeds, jobs, folder, say=progress.say)
     baseline = None
-    if blind:
-        progress.say("now the same seeds without a map")
-        baseline = batches.run_trials(course, seeds, jobs, folder, blind=True, say=progress.say)
+    with explained_interrupts(lambda: _kept(folder, "trials.jsonl")):
+        seeing = batches.run_trials(course, seeds, jobs, folder, say=progress.say)
+        if blind:
+            progress.say("now the same seeds without a map")
+            baseline = batches.run_trials(course, seeds, jobs, folder, blind=True, say=progress.say)
     text = batches.to_json(seeing, baseline)
     say(text.rstrip("\n") if as_json else batches.words(seeing, baseline))
     whole_files.write_text(folder / "trials.json", text, durable=True)
     if not as_json:
         say(f"written to {folder}: trials.json, trials.jsonl")
     return SUCCESS
+
+
+def _kept(folder: Path, name: str) -> str:
+    """Return what interrupted trials have kept, and how to go on."""
+    path = folder / name
+    count = path.read_bytes().count(b"\n") if path.exists() else 0
+    if not count:
+        return f"no walk had ended, so {folder} has no result; run the command again"
+    return f"{count} walks are kept in {path}; the same command with --out {folder} goes on with the seeds that are left"
 
 
 def _campaign(
@@ -70,7 +81,8 @@ def _campaign(
     hear = open_progress(as_json).say
     courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED}[group]
     table = "passages" if passages else "walks"
-    found = run_campaign(courses, seeds, jobs, folder, blind, variant.applied(), hear, table=table)
+    with explained_interrupts(lambda: _kept(folder, "campaign.jsonl")):
+        found = run_campaign(courses, seeds, jobs, folder, blind, variant.applied(), hear, table=table)
     say(tables.to_json(found).rstrip("\n") if as_json else tables.markdown(found, table))
     if passages and not as_json:
         say(sections(results_store.read(folder / "campaign.jsonl")))

@@ -307,9 +307,13 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
     from sextant.deploy.live.page import page_port
     from sextant.services.console.config import Settings
     from sextant.shared.runtime.process import load_settings
+    from sextant.shared.wire.ports import port_taken
 
     if any(re.match(r"port\s*=", setting) for setting in settings):
-        return load_settings(Settings, None, settings).port
+        port = load_settings(Settings, None, settings).port
+        if port_taken(port):
+            raise InputError(f"console.port: another program listens on port {port}; --set console.port=PORT names another")
+        return port
     return page_port(lambda words: say(f"{words}; --set console.port=PORT selects another"), usual)
 
 

@@ -194,6 +194,7 @@ def _offer_film(folder: Path) -> None:
 
 
 def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
+    from sextant.deploy.terminal.interrupts import explained_interrupts
     from sextant.evaluation.lockstep.lockstep_run import run_lockstep
     from sextant.evaluation.replay.tum_recording import DepthRecorder
     from sextant.shared.robot.profiles import load_profile
@@ -208,7 +209,9 @@ def _run_lockstep(walk: _Walk, record_depth: str | None) -> int:
             taps.append(stack.enter_context(recorder).tap)
         progress = open_progress(walk.as_json)
         say_if_it_compiles(progress)
-        report = run_lockstep(walk.scenario, walk.seed, walk.out, progress, taps)
+        kept = f"{walk.out} has an unfinished recording and no report; a lockstep run cannot be resumed, start it again"
+        with explained_interrupts(lambda: kept):
+            report = run_lockstep(walk.scenario, walk.seed, walk.out, progress, taps)
     return _tell(report, walk)
 
 

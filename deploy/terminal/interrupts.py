@@ -4,8 +4,10 @@ No exception can therefore interrupt a cleanup.
 """
 
 import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -39,3 +41,26 @@ class Interrupts:
 
     def _count(self, _number: int, _frame: FrameType | None) -> None:
         self.count += 1  # nothing else, because the main thread may hold any lock here
+
+
+@contextmanager
+def explained_interrupts(kept: Callable[[], str]) -> Iterator[None]:
+    """Raise a KeyboardInterrupt at SIGTERM and SIGHUP too, and give each interrupt a text while entered.
+
+    For the main thread only.
+
+    Args:
+        kept: Returns what the interrupted command has kept, and how to go on.
+    """
+
+    def interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept()) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -46,8 +46,8 @@ def run_command(program: click.Command, name: str, argv: Sequence[str]) -> int:
                 chosen = parse(program, name, argv)
             name = chosen.path
             return chosen.run()
-    except KeyboardInterrupt:
-        complain("stopped by the operator")
+    except KeyboardInterrupt as interrupt:
+        complain(": ".join(("stopped by the operator", *map(str, interrupt.args))))
         return INTERRUPTED
     except BrokenPipeError:  # the reader closed the pipe
         discard_output()

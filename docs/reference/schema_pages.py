@@ -48,8 +48,8 @@ date.*
 
 Every run writes `report.json`, and `sextant run --json` prints it. The scorer evaluates the run by ground truth, which no
 service reads. One seed in lockstep gives one report, byte for byte, except `real_time_factor`, `stages_ms`, `planning_ms` and
-`too_slow`. Floats are rounded to six digits. `null` means that there was nothing to measure. Keys are in the order of this
-page.
+`too_slow`. Floats are rounded to six digits. `null` means that there was nothing to measure. The unit 1 is that of counts and
+shares; texts, truth values and tables have none. Keys are in the order of this page.
 """
 
 

@@ -13,6 +13,7 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 
 _SPEED_OVER_NS = 2_000_000_000  # [ns] speed is the mean over the newest two seconds
+_REFUSED_NS = 10_000_000_000  # [ns] for which refused messages are a warning
 _SILENT_NS = 3_500_000_000  # [ns] a service is silent without a health report (one per second) for this long
 _REMEDY = "use --lockstep or close programs"  # for a computer that is too slow
 
@@ -97,6 +98,7 @@ class Monitor:
         self._began_ns: int | None = None
         self._track: deque[tuple[int, float, float]] = deque()  # stamp, x, y
         self._health = HealthTable()
+        self._refused: dict[str, tuple[int, int]] = {}  # service -> number of its refused messages, and when [ns] it last rose
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:
         """Process new messages and update the view."""
@@ -176,8 +178,15 @@ class Monitor:
         for name, (health, heard_ns) in self._services():
             if now_ns - heard_ns > _SILENT_NS:
                 yield f"{name}: no message for {(now_ns - heard_ns) * 1e-9:.0f} s"
-            if health.refused:
+            if self._refuses(name, health.refused, now_ns):
                 yield f"{name}: refused {health.refused} messages, last reason: {health.last_refusal}"
+
+    def _refuses(self, name: str, refused: int, now_ns: int) -> bool:
+        """Return whether a service has refused messages lately, by their number since its start."""
+        if refused != self._refused.get(name, (0, 0))[0]:
+            self._refused[name] = refused, now_ns
+        count, rose_ns = self._refused.get(name, (0, 0))
+        return count > 0 and now_ns - rose_ns <= _REFUSED_NS
 
 
 def _of_camera(state: CameraState | None) -> Iterable[str]:

@@ -28,6 +28,7 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Message, Mode, ModeCommand, StopOrder, Tick
 
+_LYING = (Mode.OFF, Mode.READY, Mode.SIT)  # modes in which the body may rest on the ground, so that feet move over it
 _BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which the legs follow an inertial sensor
 
 
@@ -101,8 +102,8 @@ class Actuator:
 
     def status(self) -> str:
         """Return the mode and its reason as status text."""
-        refused = f"; refused: {self._guard.refused}" if self._guard.refused else ""
-        return f"{self._guard.mode}: {self._guard.reason}{refused}"
+        refusal = self._guard.plan_refusal(self._clock.now_ns())
+        return f"{self._guard.mode}: {self._guard.reason}{f'; refused: {refusal}' if refusal else ''}"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Run one control cycle."""
@@ -325,7 +326,7 @@ class Actuator:
         guard = self._guard
         return (
             self._motion.goals.warning,
-            self._estimator.slip_warning,
+            "" if guard.mode in _LYING else self._estimator.slip_warning,
             guard.tipped,
             self._estimator.gravity.problem(now_ns),
             guard.objection,

@@ -72,7 +72,7 @@ class StateReport:
             lease=guard.lease(stamp_ns),
             epoch=guard.epoch,
             speed_scale=pace,
-            plan_refusal=guard.refused,
+            plan_refusal=guard.plan_refusal(stamp_ns),
             refused_plan_ns=guard.refused_ns,
             plan_ns=walk.plan_ns,
             step=walk.step,

@@ -196,7 +196,7 @@ class ActuatorState(Message):
     lease: str  # holder that may move the legs; empty when the lease is free
     epoch: int  # of {odom}; plans of an earlier epoch are refused
     speed_scale: float  # [1] share of normal speed that the servos can sustain
-    plan_refusal: str  # why the last plan was refused; empty if it was accepted
+    plan_refusal: str  # why the last plan was refused; empty if it was accepted, or 1 s after it
     refused_plan_ns: int  # [ns] stamp of the newest plan that the legs cannot execute; -1 for none
     plan_ns: int  # [ns] stamp of the current or last plan; -1 before the first
     step: int  # number of the current step, or of the last finished one
@@ -211,7 +211,7 @@ class ActuatorState(Message):
     T_world_odom: Pose  # correction that the newest accepted plan used; a restarted perception starts from it
     voltage: float  # [V] lowest of all servos
     temperature: float  # [deg C] highest of all servos
-    warnings: tuple[str, ...]  # with servos named by leg and joint
+    warnings: tuple[str, ...]  # present ones, with servos named by leg and joint; the refusal of an order stays for 5 s
     # [ns] stamp of each foot's last touchdown, -1 before the first; the next two fields describe it until the next touchdown
     touchdown_ns: Annotated[NDArray[np.int64], Dims(6)] = dataclasses.field(default_factory=lambda: _NEVER)
     touchdown_point: PerJoint = dataclasses.field(

@@ -48,7 +48,7 @@ class Robot(threading.Condition):
         self.now_ns = 1_000_000 * MS
         self.state = actuator_state(PROFILE, mode=Mode.READY, lease="", reason="sitting")
         self.planner = PlannerStatus(0, "waiting", "", 0, 0, -1)
-        self.pose = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
+        self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.ahead_ns = 0  # offset of the robot's clock from the client's
         self.silent = False
         self.sent: list[Message] = []
@@ -70,7 +70,8 @@ class Robot(threading.Condition):
         if not self.silent:
             self.publish(topics.ACTUATOR_STATE, self.state)
             self.publish(topics.PLANNER_STATUS, self.planner)
-            self.publish(topics.BODY_POSE, self.pose)
+            if self.pose is not None:
+                self.publish(topics.BODY_POSE, self.pose)
         for topic, message in self.heard:
             self.publish(topic, message)
         self.heard.clear()
@@ -161,6 +162,20 @@ def test_silent_actuator_has_no_state(robot: Robot) -> None:
         robot.silent = False
         robot.wait()
         assert me.state.mode is Mode.HOLD
+
+
+def test_client_waits_for_pose_and_planner(robot: Robot) -> None:
+    pose, robot.pose = robot.pose, None
+    with Client(name="me") as me:
+        assert me.status.pose is None
+        missing = r"not ready within 3 s: the robot is in mode ready \(sitting\); no pose from perception"
+        with pytest.raises(ClientError, match=missing):
+            me.wait_until_ready(3.0)
+        began_ns = robot.now_ns
+        robot.then = lambda: setattr(robot, "pose", pose) if robot.now_ns > began_ns + 2_000 * MS else None
+        me.wait_until_ready()
+        assert me.status.pose is not None
+        assert robot.now_ns - began_ns < 2_200 * MS
 
 
 def test_endpoint_without_actuator_is_an_error(robot: Robot) -> None:

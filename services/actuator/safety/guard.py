@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from sextant.services.actuator.safety.command_arbiter import LEASE_NS, CommandArbiter
 from sextant.services.actuator.safety.command_ordering import WalkOrder
 from sextant.services.actuator.safety.health_monitor import Verdict
-from sextant.services.actuator.safety.plan_validation import PlanCheck
+from sextant.services.actuator.safety.plan_validation import PlanCheck, out_of_order
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import Mode, ModeCommand, StepPlan, StopOrder
 
 DEADLINE_NS = 180_000_000  # [ns] that a walk continues without a new plan
+OBJECTION_NS = 5_000_000_000  # [ns] for which the refusal of an order is reported
+PLAN_REFUSAL_NS = 1_000_000_000  # [ns] for which the refusal of a plan is reported if no newer plan arrives
 
 
 class Act(StrEnum):
@@ -81,8 +83,11 @@ class Guard:
         self.mode = Mode.HOLD if torque else Mode.OFF
         self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
         self.refused = ""  # why the newest plan was refused
+        self._refused_at_ns = 0  # [ns] when that was
+        self._is_overtaken = False  # whether it only came after its step had ended
         self.refused_ns = -1  # [ns] stamp of the newest plan that was refused for its demands on the legs
-        self.objection = ""  # why the newest order was not obeyed
+        self.objection = ""  # why the newest order was not obeyed, for a few seconds
+        self._objected_ns = 0  # [ns] when that was
         self._check = PlanCheck(profile, plan_age_s, epoch, handover_s)
         self._arbiter = CommandArbiter(epoch, off_ns, walk)
         self._accepted_ns = 0  # when the newest plan was accepted
@@ -127,7 +132,7 @@ class Guard:
         """Obey an order, or set `objection` to the reason for refusal."""
         ruling = self._arbiter.rule(order, now_ns, torque_is_off=self.mode is Mode.OFF)
         if ruling.objection is not None:
-            self.objection = ruling.objection
+            self.objection, self._objected_ns = ruling.objection, now_ns
         return self._obey(order.mode) if ruling.is_obeyed else ()
 
     def handle_stop(self, order: StopOrder, now_ns: int) -> tuple[Act, ...]:
@@ -228,6 +233,9 @@ class Guard:
         self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
         resting = not legs.planned
         self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, resting, legs.swing, legs.clearance)
+        self._refused_at_ns = now_ns
+        self._is_overtaken = plan.step <= legs.step and bool(self.refused)
+        self._is_overtaken &= self.refused == out_of_order(plan, legs.step, resting)
         if self.refused:
             return False
         revises = plan.step == legs.step
@@ -240,6 +248,14 @@ class Guard:
         self._accepted_ns = now_ns
         self._enter(Mode.WALK, "walking")
         return True
+
+    def plan_refusal(self, now_ns: int) -> str:
+        """Return why the newest plan was refused, or an empty string.
+
+        It is empty for a revision that arrived after the end of its step, as happens in every walk, and once no plan has
+        arrived for `PLAN_REFUSAL_NS`.
+        """
+        return "" if self._is_overtaken or now_ns - self._refused_at_ns > PLAN_REFUSAL_NS else self.refused
 
     def _plan_refusal(self, now_ns: int, legs: Legs) -> str:
         """Return why no plan is accepted now, or an empty string."""
@@ -277,6 +293,7 @@ class Guard:
         acts = self._stop()
         self._arbiter.resume_from_suspend(now_ns)
         self.objection = f"all orders are cancelled: the computer was suspended for {slept_s:.0f} s; order again"
+        self._objected_ns = now_ns
         return acts
 
     def risen(self) -> None:
@@ -297,6 +314,8 @@ class Guard:
     def watch(self, now_ns: int, legs: Legs, verdict: Verdict) -> tuple[Act, ...]:
         """Update the mode from this cycle's legs and health."""
         self._verdict = verdict
+        if now_ns - self._objected_ns > OBJECTION_NS:
+            self.objection = ""
         if self.mode is Mode.OFF:
             return ()
         still = self.mode in (Mode.READY, Mode.STAND) or self._midway  # an interrupted motion stays where it is

@@ -71,8 +71,8 @@ class PlanCheck:
             return f"plan of step {plan.step} is stamped {-age_ns * 1e-9:.2f} s in the future"
         if plan.stamp_ns <= self._last_stamp_ns:
             return f"plan of step {plan.step} is not newer than the last accepted one"
-        if plan.step != running + 1 and (resting or plan.step != running):
-            return f"plan of step {plan.step} does not follow step {running}"
+        if wrong := out_of_order(plan, running, resting):
+            return wrong
         if plan.step == running and (plan.swing != swing).any():
             return f"a revision of step {plan.step} swings other legs than the running step"
         if plan.step == running and (plan.clearance > clearance)[plan.swing].any():
@@ -164,6 +164,19 @@ class PlanCheck:
             what = "touchdown" if plan.swing[leg] else "standing foot"
             return f"the {what} of the {LEGS[leg]} leg exceeds the reach of its {JOINTS[joint]} joint"
         return ""
+
+
+def out_of_order(plan: StepPlan, running: int, resting: bool) -> str:
+    """Return that a plan is neither of the next step nor of the running one, or an empty string.
+
+    Args:
+        plan: The plan.
+        running: Number of the running or last step.
+        resting: Whether no step is running.
+    """
+    if plan.step == running + 1 or (plan.step == running and not resting):
+        return ""
+    return f"plan of step {plan.step} does not follow step {running}"
 
 
 def reaches(profile: RobotProfile, feet: Array) -> bool:

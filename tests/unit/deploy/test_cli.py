@@ -3,6 +3,8 @@ import importlib.util
 import inspect
 import json
 import os
+import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +21,7 @@ from sextant.deploy.commands.common import out_folder
 from sextant.deploy.launch.process_table import Command
 from sextant.deploy.terminal.arguments import parse
 from sextant.deploy.terminal.run_command import run_command
+from sextant.evaluation.lockstep import lockstep_run
 from sextant.evaluation.report import Report, write
 from sextant.evaluation.trials import trials
 from sextant.shared.scenario.scenario import Scenario
@@ -134,7 +137,9 @@ def test_up_starts_services_with_requested_robot_profile(
     assert all(arguments[arguments.index("--robot") + 1] == robot for arguments in started)
 
 
-def test_topics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_topics_are_listed_without_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["topics", "list", "--help"]) == 0
+    assert "needs no robot" in capsys.readouterr().out
     assert cli.main(["topics", "list"]) == 0
     printed = capsys.readouterr().out
     assert all(topic.key in printed for topic in TOPICS)
@@ -169,6 +174,50 @@ def test_ctrl_c_exits_with_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
     monkeypatch.setattr(machine_checks, "examine", interrupted)
     assert cli.main(["doctor"]) == 130
     assert "stopped by the operator" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_trials_say_what_is_kept_and_how_to_go_on(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    kept = tmp_path / "trials.jsonl"
+
+    def interrupted(*_: object, **__: object) -> None:
+        signal.raise_signal(number)
+
+    monkeypatch.setattr(trials, "run_trials", interrupted)
+    words = ["trials", "flat", "--seeds", "0:4", "--out", str(tmp_path)]
+    handler = signal.getsignal(number)
+    assert cli.main(words) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"stopped by the operator: no walk had ended, so {tmp_path} has no result; run the command again"
+    )
+    kept.write_text("{}\n{}\n", encoding="utf-8")
+    assert cli.main(words) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"stopped by the operator: 2 walks are kept in {kept}; the same command with --out {tmp_path} goes on with the seeds "
+        "that are left"
+    )
+    assert signal.getsignal(number) is handler
+
+
+def test_interrupted_lockstep_run_says_what_is_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(lockstep_run, "run_lockstep", lambda *_: signal.raise_signal(signal.SIGTERM))
+    assert cli.main(["run", "flat", "--lockstep", "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"stopped by the operator: {tmp_path} has an unfinished recording and no report; a lockstep run cannot be resumed, "
+        "start it again"
+    )
+
+
+def test_taken_port_of_the_page_is_named_before_anything_starts(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        assert cli.main(["up", "all", "--scenario", "flat", "--set", f"console.port={port}"]) == 2
+    printed = capsys.readouterr().err
+    assert f"console.port: another program listens on port {port}; --set console.port=PORT names another" in printed
 
 
 def test_internal_error_is_not_reported_as_usage_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,7 +104,7 @@ class A:
 
 
 def test_example_client_is_short_and_independent_of_sextant() -> None:
-    assert len(CLIENT.splitlines()) <= 30
+    assert len(CLIENT.splitlines()) <= 40
     imported = {name.name for node in ast.walk(ast.parse(CLIENT)) if isinstance(node, ast.Import) for name in node.names}
     assert imported == {"struct", "sys", "time", "msgpack", "zenoh"}
     assert not any(isinstance(node, ast.ImportFrom) for node in ast.walk(ast.parse(CLIENT)))

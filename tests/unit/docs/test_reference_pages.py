@@ -54,10 +54,13 @@ def test_each_field_of_a_file_has_a_meaning(kind: type[Any]) -> None:
         assert [name for name in values if not parse(said.get(name, "")).what] == []
 
 
-def test_each_field_of_a_report_has_a_meaning() -> None:
-    said, hints = comments_of(Report), get_type_hints(Report)
-    values = [f.name for f in dataclasses.fields(Report) if not tables_of(hints[f.name])[0]]
-    assert [name for name in values if not parse(said.get(name, "")).what] == []
+@pytest.mark.parametrize("kind", sorted(set(schemas(Report)), key=lambda kind: kind.__name__))
+def test_each_field_of_a_report_has_a_meaning_and_each_number_a_unit(kind: type[Any]) -> None:
+    said, hints = comments_of(kind), get_type_hints(kind)
+    meanings = {f.name: parse(said.get(f.name, "")) for f in dataclasses.fields(kind)}
+    assert [name for name, meaning in meanings.items() if not meaning.what] == []
+    numbers = [name for name in meanings if hints[name] in (int, float, dict[str, int], dict[str, float])]
+    assert [name for name in numbers if not meanings[name].unit] == []
 
 
 def test_each_kind_of_terrain_has_an_example() -> None:

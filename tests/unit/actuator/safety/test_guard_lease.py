@@ -6,7 +6,7 @@ import pytest
 
 from sextant.services.actuator.safety.command_arbiter import AWAY_NS, LEASE_NS
 from sextant.services.actuator.safety.command_ordering import ORDER_AGE_NS
-from sextant.services.actuator.safety.guard import Act
+from sextant.services.actuator.safety.guard import OBJECTION_NS, Act
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.wire.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, ORDERS, in_mode
@@ -236,3 +236,13 @@ def test_stop_order_counts_once_and_does_not_block_lease_holder() -> None:
     assert robot.guard.handle_stop(StopOrder(0, "stop", 1, "stranger 999"), robot.now) == (Act.SET_DOWN,), (
         "whose machine has restarted"
     )
+
+
+def test_refusal_of_an_order_is_reported_for_five_seconds_since_the_last_one() -> None:
+    robot = in_mode(Mode.READY)
+    for _ in range(2):
+        robot.order("walk")
+        robot.cycle(OBJECTION_NS)
+        assert robot.guard.objection == "`walk` refused: the mode is ready, order `stand` first"
+    robot.cycle(1)
+    assert robot.guard.objection == ""

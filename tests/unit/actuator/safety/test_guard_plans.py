@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.safety.command_arbiter import LEASE_NS
-from sextant.services.actuator.safety.guard import DEADLINE_NS, Act
+from sextant.services.actuator.safety.guard import DEADLINE_NS, PLAN_REFUSAL_NS, Act
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.wire.messages import Mode, ModeCommand
@@ -81,6 +81,24 @@ def test_plan_cannot_revise_a_reversed_step() -> None:
     robot.own = True
     assert not robot.accept_plan(robot.renewal())
     assert "does not follow step 1" in robot.guard.refused
+
+
+def test_revision_that_its_step_has_overtaken_is_no_reported_refusal() -> None:
+    robot = in_mode(Mode.WALK)
+    late = robot.renewal()
+    robot.cycle(ends=True)
+    assert not robot.accept_plan(late)
+    assert "does not follow step" in robot.guard.refused
+    assert robot.guard.plan_refusal(robot.now) == ""
+    assert not robot.accept_plan(robot.plan(step=robot.step + 2))
+    assert "does not follow step" in robot.guard.plan_refusal(robot.now), "a planner that counts wrongly"
+
+
+def test_refusal_of_a_plan_is_reported_while_plans_arrive() -> None:
+    robot = in_mode(Mode.WALK)
+    assert not robot.accept_plan(robot.renewal(duration=9.0))
+    assert "found 9.00 s" in robot.guard.plan_refusal(robot.now + PLAN_REFUSAL_NS)
+    assert robot.guard.plan_refusal(robot.now + PLAN_REFUSAL_NS + 1) == ""
 
 
 def test_plan_is_refused_while_foot_searches_for_ground() -> None:

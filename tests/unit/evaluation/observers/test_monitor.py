@@ -89,6 +89,12 @@ def test_service_problems_become_warnings() -> None:
     )
 
 
+def test_refused_messages_are_a_warning_for_ten_seconds_since_the_last_one() -> None:
+    bench = Bench()
+    warned = [bool(bench.hear(k * S, health(k * S, "mapper", refused=1 if k < 5 else 2)).warnings) for k in range(1, 20)]
+    assert warned == [k <= 15 for k in range(1, 20)]
+
+
 def test_silent_service_is_named_in_warning() -> None:
     bench = Bench()
     assert bench.hear(S, health(S, "mapper"), health(S, "planner")).warnings == ()
