@@ -86,7 +86,7 @@ def walk_by_documented_commands(bed: NetTestbed, tmp_path: Path) -> None:
         client = bed.on_base(sys.executable, "-I", str(ROOT / "docs" / "walk_client.py"), bed.base_router)
 
         def walked() -> bool:  # a servo of a busy machine may answer late: the robot then refuses to stand
-            subprocess.run(client, capture_output=True, check=True, timeout=PATIENCE_S)
+            subprocess.run(client, capture_output=True, check=False, timeout=PATIENCE_S)
             return len({heard.step for heard in halves.heard if heard.walks}) > 2
 
         halves.until(walked, PATIENCE_S, "a walk commanded by the base")

@@ -159,7 +159,7 @@ def test_failing_plugin_ends_accuracy_with_its_name(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["speed", "--registration", "nobody:X"], "there is no module nobody"),
+        (["speed", "--registration", "missing_module:X"], "there is no module missing_module"),
         (["accuracy", "--registration", "tests.support.plugins:Shifty"], "has no Shifty; did you mean 'Shifted'?"),
         (
             ["stages", "--foothold", "relief of mine"],
