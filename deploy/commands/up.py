@@ -123,7 +123,7 @@ def up(launch: Launch, print_zenoh: bool) -> int:
                     problem = half.beat(0.2)
                     if page:
                         page.show()
-                    for line in readiness.lines(monitor.view.doing, time.monotonic()):
+                    for line in readiness.lines(monitor.view.doing, time.monotonic()) if half.has_started else ():
                         progress.say(line)
                     if drawn and time.monotonic() - shown >= _SHOW_S:
                         shown = time.monotonic()

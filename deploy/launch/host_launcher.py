@@ -81,6 +81,11 @@ class HostLauncher:
         joined = f"--connect {gated.listen[-1]} --namespace {gated.namespace}{' --keys DIR' if gated.keys else ''}"
         return f"router on {', '.join(gated.listen)}{chained}; other programs connect with {joined}"
 
+    @property
+    def has_started(self) -> bool:
+        """Whether the processes have been started; a chained machine waits for the others first."""
+        return self._launcher is not None
+
     def pid(self, name: str) -> int:
         """Return the process id of a child, the newest one after a restart.
 

@@ -3,8 +3,9 @@
 from collections.abc import Collection, Iterator
 
 _SLOW_S = 10.0  # [s] after which the missing services are named
-_AGAIN_S = 30.0  # [s] between two such lines
+_COMPILE_S = 120.0  # [s] that a first start may take
 _COMPILING = "the first start compiles the inner loops, which takes about a minute"
+_FAILING = "their output above says why; `sextant doctor` checks what they need"
 
 
 class Readiness:
@@ -41,8 +42,9 @@ class Readiness:
             self._is_ready = True
             yield f"ready after {waited_s:.0f} s: {self._next_steps}"
         elif now_s >= self._due_s:
-            self._due_s = now_s + _AGAIN_S
-            yield f"not ready after {waited_s:.0f} s: no health message of {', '.join(missing)} yet; {_COMPILING}"
+            self._due_s = now_s + 2.0 * waited_s  # less and less often
+            hint = _COMPILING if waited_s < _COMPILE_S else _FAILING
+            yield f"not ready after {waited_s:.0f} s: no health message of {', '.join(missing)} yet; {hint}"
 
 
 def next_steps(names: Collection[str], simulated: bool, page: str, endpoint: str, namespace: str, options: str) -> str:

@@ -27,6 +27,7 @@ class FakeLauncher:
     """Processes of which one fails after some beats."""
 
     names = ("mapper",)
+    has_started = True
 
     def __init__(self, *arguments: Any) -> None:
         self._tell: Callable[[str], object] = arguments[-1]
