@@ -125,7 +125,7 @@ class Client:
             stack.callback(running.join)
             stack.callback(over.set)
             stack.callback(self._commander.withdraw)
-            self._until(lambda _: True, CONNECT_S, f"no actuator publishes its state at {endpoint}")
+            self._until(lambda _: True, CONNECT_S, f"no actuator publishes its state at {endpoint}, namespace {namespace}")
             self._open = stack.pop_all()
         atexit.register(self.close)
 

@@ -180,7 +180,7 @@ def test_client_waits_for_pose_and_planner(robot: Robot) -> None:
 
 def test_endpoint_without_actuator_is_an_error(robot: Robot) -> None:
     robot.silent = True
-    with pytest.raises(ClientError, match=r"no actuator publishes its state at tcp/127\.0\.0\.1:7447"):
+    with pytest.raises(ClientError, match=r"no actuator publishes its state at tcp/127\.0\.0\.1:7447, namespace sextant"):
         Client()
 
 

@@ -137,7 +137,7 @@ def test_up_starts_services_with_requested_robot_profile(
     assert all(arguments[arguments.index("--robot") + 1] == robot for arguments in started)
 
 
-def test_topics_are_listed_without_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
+def test_topics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["topics", "list", "--help"]) == 0
     assert "needs no robot" in capsys.readouterr().out
     assert cli.main(["topics", "list"]) == 0
