@@ -13,6 +13,7 @@ from sextant.shared.wire.messages import Mode
 from tests.support.walks import walk
 
 
+@pytest.mark.campaign
 def test_robot_walks_around_wall_to_goal() -> None:
     heard = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.GOAL, topics.VELOCITY, topics.BODY_POSE, topics.TRUTH)
     found = walk(load_scenario("wall"), 1001, heard)

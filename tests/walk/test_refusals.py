@@ -44,7 +44,8 @@ top = 0.0
 }
 
 
-@pytest.mark.parametrize("what", ["a wall across", pytest.param("ground that ends", marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("what", COURSES)
 def test_robot_stops_before_ground_without_footholds_and_names_leg(what: str, tmp_path: Path) -> None:
     terrain, edge = COURSES[what]
     found = walk(course(tmp_path, HEAD + terrain), 1001)

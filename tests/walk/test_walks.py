@@ -1,6 +1,7 @@
 """Whole walks in lockstep on the courses that come with Sextant."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,14 +9,14 @@ import pytest
 from sextant.deploy import cli
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.evaluation.report import check
-from sextant.shared.scenario.scenario import Walk, load_scenario
+from sextant.shared.scenario.scenario import Goal, Walk, load_scenario
 from tests.support.walks import flat
 
 BODY_HEIGHT = 0.11  # [m] commanded
 
 
 def test_walk_on_flat_ground_keeps_body_level_and_localized(tmp_path: Path) -> None:
-    scenario = load_scenario("flat")
+    scenario = replace(load_scenario("flat"), goal=Goal(1.5))
     assert scenario.walk.body_height == BODY_HEIGHT
     report = run_lockstep(scenario, 1000, tmp_path)
     assert report.success, report.reason
@@ -55,7 +56,7 @@ def test_walk_over_low_blocks_and_two_stairs(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_walk_between_pillars_with_scanner_and_kiss_icp() -> None:
-    scenario = load_scenario("pillars_scanner")
+    scenario = replace(load_scenario("pillars_scanner"), goal=Goal(0.3))
     assert scenario.variation.registration == "kiss-icp"
     report = run_lockstep(scenario, 1000)
     assert report.success, report.reason
