@@ -18,7 +18,7 @@ _MOST_WARNINGS = 200  # most kinds of warnings per run, because they quote text 
 _REAL_TIME = 0.95  # [1] share of real time below which the speed of simulated time is shown
 _LINE_EVERY_S = 5.0  # [s] simulated time between two plain lines of the position
 _CHANGE_EVERY_S = 1.0  # [s] shortest simulated time between two plain lines of one service
-_ATTENDING = ("operator", "scorer")  # their status repeats what the line shows
+_ATTENDING = ("operator", "scorer")  # once the robot is up, their status repeats speed and way to the goal
 _WIDTH = 100  # [characters] of the widest table
 
 
@@ -146,7 +146,8 @@ def table(view: View) -> "RenderableType":
     services.add_column(style="cyan", no_wrap=True)
     services.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
     for name, doing in view.doing.items():
-        services.add_row(f"  {name}", Text(doing))
+        if not (view.up and name in _ATTENDING):
+            services.add_row(f"  {name}", Text(doing))
     for warning in view.warnings:
         services.add_row(Text("  warning", "yellow"), Text(warning, "yellow", no_wrap=False, overflow="fold"))
     whole = Table.grid(expand=True)
