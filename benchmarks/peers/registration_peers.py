@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.perception.registration import frame_registration
-from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.shared.geometry import Array, exp_so3, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
@@ -44,6 +43,12 @@ class Registered:
     def update(self, depth: NDArray[np.uint16], index: int, T_prior: Array, covariance: Array) -> Array:
         """Return the pose (4, 4) of the next frame."""
         return self._registration.update(depth, index, T_prior, covariance).T_world_camera
+
+
+def _kiss_icp(intrinsics: Intrinsics, sensor: DepthSensor) -> RegistrationMethod:
+    from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration  # it has no wheel for every Python
+
+    return Registered(KissRegistration(intrinsics, sensor))
 
 
 class _Points:
@@ -160,7 +165,7 @@ def _centroids(points: Array, voxel: float) -> Array:
 
 METHODS: Mapping[str, Callable[[Intrinsics, DepthSensor], RegistrationMethod]] = {
     "projective (default)": lambda i, s: Registered(Registration(i, s)),
-    "kiss-icp": lambda i, s: Registered(KissRegistration(i, s)),
+    "kiss-icp": _kiss_icp,
     "small_gicp VGICP": _Vgicp,
     "Open3D": _Open3d,
     "thesis ICP": _Thesis,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import click
 
 from sextant.deploy.terminal.arguments import in_one_line, parse
+from sextant.deploy.terminal.missing_extra import remedy
 from sextant.deploy.terminal.output import (
     OutputError,
     complain,
@@ -62,6 +63,12 @@ def run_command(program: click.Command, name: str, argv: Sequence[str]) -> int:
     except SextantError as error:
         complain(f"{name}: {error}")
         return error.exit_status
+    except ModuleNotFoundError as error:
+        words = remedy(error)
+        if not words:
+            raise
+        complain(f"{name}: {words}")
+        return WRONG_INPUT
     except OSError as error:
         if error.errno not in OUT_OF_ROOM:
             raise

@@ -106,7 +106,9 @@ def _make_method(profile: RobotProfile, settings: Settings) -> RegistrationMetho
         try:  # a slow import, only if it is selected
             from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
         except ImportError as error:
-            raise ValueError(f"the registration kiss-icp needs the library kiss-icp: {error}; pip install kiss-icp") from error
+            raise ValueError(
+                f"the registration kiss-icp needs the library kiss-icp: {error}; pip install kiss-icp, with a Python below 3.14"
+            ) from error
         return KissRegistration(camera.intrinsics, camera.sensor)
     return Registration(
         camera.intrinsics,

@@ -1,0 +1,36 @@
+"""Libraries that only an extra of the package brings, and what to do without one."""
+
+_ALL = "all"  # for what the commands that simulate need: they need most of the extras
+# Module -> name of its library, and the extra that brings it, the smallest where there are several.
+EXTRAS = {
+    "cryptography": ("cryptography", "access"),
+    "cv2": ("opencv-python-headless", _ALL),
+    "foxglove": ("foxglove-sdk", "foxglove"),
+    "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", "recording"),
+    "google": ("protobuf", "recording"),
+    "gymnasium": ("gymnasium", "gym"),
+    "kiss_icp": ("kiss-icp", "perception"),
+    "lz4": ("lz4", "recording"),
+    "matplotlib": ("matplotlib", "recording"),
+    "mcap": ("mcap", "recording"),
+    "mujoco": ("mujoco", _ALL),
+    "numba": ("numba", _ALL),
+    "PIL": ("pillow", "recording"),
+    "rerun": ("rerun-sdk", "rerun"),
+    "rich": ("rich", _ALL),
+    "rosbags": ("rosbags", "ros2"),
+    "serial": ("pyserial", "actuator"),
+    "websockets": ("websockets", "console"),
+    "xxhash": ("xxhash", "ros2"),
+}
+
+
+def remedy(error: ModuleNotFoundError) -> str:
+    """Return which library is missing and how to install it, or "" if no extra brings it."""
+    found = EXTRAS.get((error.name or "").partition(".")[0])
+    if found is None:
+        return ""
+    library, extra = found
+    return (
+        f"{library} is not installed; the extra {extra} brings it: pip install 'sextant[{extra}]', in a checkout '.[{extra}]'"
+    )
