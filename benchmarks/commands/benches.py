@@ -177,7 +177,9 @@ def bench_roles(messages: int, only: tuple[str, ...], lockstep: bool, seed: int,
 def bench_fleet(robots: int, course: str, out: str | None, as_json: bool) -> int:
     """Add robots to one base station until it is overloaded."""
     from benchmarks.robot import fleet
+    from sextant.shared.scenario.scenario import load_scenario
 
+    load_scenario(course)  # a wrong name is reported before anything starts
     folder, progress = out_folder(out, "bench-fleet"), open_progress(as_json)
     warm_up(progress)
     found = fleet.measure(course, robots, progress, folder.resolve())
@@ -203,7 +205,9 @@ def bench_link(walks: int, scenario: str, cuts: int, longest: float, seed: int, 
     """Walk with mapper and planner behind a radio with packet loss or outages."""
     from benchmarks.net_testbed.namespace import NetTestbedError
     from benchmarks.robot import link
+    from sextant.shared.scenario.scenario import load_scenario
 
+    load_scenario(scenario)  # a wrong name is reported before anything starts
     folder, progress = out_folder(out, "bench-link"), open_progress(as_json)
     warm_up(progress)
     try:

@@ -39,6 +39,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "text.toml": "This is not TOML.\n",
         "none.toml": SCENARIO + MAP + 'file = "gone.npy"\n',
         "words.toml": SCENARIO + MAP + 'file = "words.npy"\n',
+        "grid.toml": SCENARIO + '[[terrain]]\nkind = "height_map"\nfile = "recording.mcap"\n',
+        "size.toml": SCENARIO + '[[terrain]]\nkind = "height_map"\nfile = "words.npy"\n',
         "grey.toml": SCENARIO + MAP + 'file = "grey.png"\n',
         "robot.toml": 'extends = "phantomx_mk3"\n',
         "loop.toml": 'extends = "loop.toml"\n',
@@ -118,7 +120,37 @@ MISTAKES = [
         "servos set-id --port socket://127.0.0.1:1",
         "Connection refused; is the simulator, or `sextant servos emulate`, running?",
     ),
+    ("trials flat", "--seeds expected, found none"),
+    ("trials flat --seeds commit:0", "--seeds: A:B with A < B expected, B not included, found 'commit:0'"),
+    ("trials flat --seeds 0:1 --planner nobody:X", "there is no module nobody; is it installed in this environment"),
+    ("run flat --lockstep --planner tests.support.plugins:not_callable", "a class or a function expected, found int"),
+    ("run flat --lockstep --set planner.costmap.max_step_m=abc", "planner.costmap.max_step_m: a number expected, found 'abc'"),
+    ("run flat --record-depth frames", "add --lockstep"),
+    ("run flat --bridge --connect tcp/127.0.0.1:1", "--bridge is for services that this command starts"),
+    ("demo --set a=b", "--set: a: unknown key; known keys: actuator, mapper, perception, planner"),
+    ("up", "ROLE expected, found none"),
+    ("up all --set planner.costmap.max_step_m=99", "costmap.max_step_m: 0.005 to 0.3 expected, found 99.0"),
+    ("up all --set planner.costmap.max_step_m", "--set: SERVICE.KEY=VALUE expected"),
+    ("order", "WHAT expected, found none"),
+    ("order walk fast", "got unexpected extra argument (fast)"),
+    ("order stand --connect tcp/127.0.0.1:99999", "PROTOCOL/HOST:PORT expected"),
+    ("record --connect localhost:7447", "PROTOCOL/HOST:PORT expected, e.g. tls/robot.local:7448, found 'localhost:7447'"),
+    ("record --connect tcp/127.0.0.1:1", "nothing listens on port 1 of 127.0.0.1"),
+    ("topics hz planner/stpe", "no topic 'planner/stpe'; did you mean 'planner/step'?"),
+    ("topics ros2 --connect tcp/127.0.0.1:1", "nothing listens on port 1 of 127.0.0.1"),
+    ("service install onbord --dry-run", "ROLE: unknown 'onbord'; did you mean 'onboard'?"),
+    ("doctor --stranger nowhere", "--stranger: PROTOCOL/HOST:PORT expected"),
+    ("robot export phantomx_mk2", "one of --urdf and --mjcf expected, found none"),
+    ("recording export notes.txt --map map.png", "--map: a file that ends in .npy expected, found map.png"),
+    ("recording export notes.txt --grid-map map.npy", "--grid-map: a file that ends in .mcap expected, found map.npy"),
+    ("plot run --width 3px", "--width: 1in to 40in expected, found '3px'"),
+    ("servos scan --ids 0:999", "--ids: ids of servos expected, 0 to 253, found '0:999'"),
+    ("servos emulate --listen 70000", "--listen: a whole number of 0 to 65535 expected"),
+    ("servos calibrate --out robot.txt", "--out: a file that ends in .toml expected, found robot.txt"),
     # Names of scenarios and profiles.
+    ("robot export phantomx --urdf", "no profile 'phantomx'; did you mean 'phantomx_mk2'?"),
+    ("servos scan --robot phantomx", "no profile 'phantomx'; did you mean 'phantomx_mk2'?"),
+    ("up all --scenario stiars", "no scenario 'stiars'; did you mean 'stairs'?"),
     ("run stiars --lockstep", "no scenario 'stiars'; did you mean 'stairs'?"),
     ("run flat.tmol --lockstep", "no scenario 'flat.tmol'; did you mean 'flat'?"),
     ("run nowhere.toml --lockstep", "nowhere.toml: no such file"),
@@ -152,6 +184,11 @@ MISTAKES = [
     ("recording replay notes.txt", "notes.txt"),
     ("recording replay recording.mcap", "recording.mcap"),
     ("recording info notes.txt", "notes.txt"),
+    ("recording export notes.txt --grid-map map.mcap", "notes.txt: not an MCAP file"),
+    ("robot export phantomx_mk2 --urdf --out nowhere/x.urdf", "nowhere/x.urdf cannot be written: its folder does not exist"),
+    ("run grid.toml --lockstep", "recording.mcap: not an MCAP file"),
+    ("run size.toml --lockstep", "resolution of the map expected, found none"),
+    ("trials table run/report.json --json --format csv", "one of --json and --format csv expected, found both"),
     ("recording info gone.mcap", "gone.mcap"),
     ("recording recover notes.txt", "notes.txt"),
     ("video gone", "gone: no such run"),
@@ -167,12 +204,33 @@ MISTAKES = [
 
 
 OF_BENCHMARKS = [
+    ("", "a command expected, found none"),
     ("acuracy", "did you mean 'accuracy'?"),
+    ("accuracy --jobs 0", "--jobs: a whole number of 1 to 256 expected, found '0'"),
+    ("accuracy --registration odometry", "package.module:Object or the name of an entry point expected, found 'odometry'"),
+    ("accuracy --set planner.step.handover_s=0.6", "a parameter of perception or mapper expected, found one of planner"),
+    ("speed --seeds 5", "--seeds: A:B with A < B expected"),
+    ("stages --foothold nobody:x", "there is no module nobody"),
+    ("passage --planner nearest", "unknown option '--planner'"),
+    ("fleet --course stiars", "no scenario 'stiars'; did you mean 'stairs'?"),
+    ("link --scenario stiars", "no scenario 'stiars'; did you mean 'stairs'?"),
+    ("roles --only nobody", "--only: one of the roles"),
+    ("soak --minutes 0", "--minutes: minutes from 0.5 to 1440 expected, found '0'"),
+    ("size --out notes.txt", "cannot create the folder notes.txt"),
+    ("fuzz --give gone --only camera/depth", "cannot read gone: No such file or directory"),
     ("faults limp_servo", "limp_servo"),
     ("fuzz --only camera/dept", "did you mean 'camera/depth'?"),
 ]
 MAINS = {"sextant": cli.main, benchmarks.PROGRAM: benchmarks.main}
 CASES = [*(("sextant", *case) for case in MISTAKES), *((benchmarks.PROGRAM, *case) for case in OF_BENCHMARKS)]
+
+
+def test_mistakes_cover_every_command() -> None:
+    groups = {"topics", "servos", "keys", "recording", "service"}
+    made = {line.split()[0] for line, _ in MISTAKES if line}
+    shown = {name for name, one in cli.sextant.commands.items() if not one.hidden}
+    assert shown <= made
+    assert groups <= made
 
 
 @pytest.mark.parametrize(("program", "line", "message"), CASES, ids=lambda value: value[:60])
