@@ -15,7 +15,7 @@ from tests.support.depth_folders import room, write_folder
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 NOTEBOOKS = sorted((EXAMPLES / "notebooks").glob("*.ipynb"))
-COURSE = 'name = "short"\ntime_limit_s = 60\n[goal]\ndistance = 0.4\n[[terrain]]\nkind = "plane"\n'
+COURSE = 'name = "short"\ntime_limit_s = 60\n[goal]\ndistance = 0.2\n[[terrain]]\nkind = "plane"\n'
 OPTICAL = transform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
 
 
@@ -173,6 +173,6 @@ def test_notebook_of_registration_follows_the_camera(recorded: Path, tmp_path: P
 def test_notebook_of_compared_rules_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    found = execute("compare_rules", **{"range(3)": "range(1)", "distance = 0.8": "distance = 0.4"})["found"]
+    found = execute("compare_rules", **{"range(3)": "range(1)", "distance = 0.8": "distance = 0.2"})["found"]
     assert isinstance(found, dict)
     assert [trials.success.n for trials in found.values()] == [1, 1]

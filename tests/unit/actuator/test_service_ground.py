@@ -83,7 +83,7 @@ def test_body_levels_on_slope_with_imu(slope: tuple[float, float]) -> None:
     rig, R = Rig(), rotation_from_rpy(np.radians([*slope, 0.0]))
     rig.walking()
     tilted = np.degrees(np.arccos(measured_up(rig, R)[2]))
-    for _ in range(900):
+    for _ in range(500):
         state = cycle_with_imu(rig, measured_up(rig, R))
     up = measured_up(rig, R)
     assert tilted > 3.5
@@ -100,7 +100,7 @@ def test_body_levels_on_slope_with_imu(slope: tuple[float, float]) -> None:
 def test_tipping_robot_finishes_step_then_holds_with_reason() -> None:
     rig, upright = Rig(), UP
     state = rig.walking()
-    for _ in range(500):
+    for _ in range(250):
         state = cycle_with_imu(rig, upright)
     rig.hear(rig.plan(state))
     for _ in range(10):
@@ -124,7 +124,7 @@ def test_tipping_robot_finishes_step_then_holds_with_reason() -> None:
 def walk_with_trusted_imu(rig: Rig, up: Array = UP) -> ActuatorState:
     """Run until walking is allowed and the sensor is trusted; up is (3,) {body}."""
     rig.walking()
-    for _ in range(400):
+    for _ in range(250):
         state = cycle_with_imu(rig, up)
     return state
 

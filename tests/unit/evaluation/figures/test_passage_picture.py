@@ -32,7 +32,7 @@ def drawn_crossing(tmp_path_factory):
     folder = tmp_path_factory.mktemp("crossed")
 
     def picture(story):
-        scorer = story(scenario=PASSAGE, level=True, sections=3).judged()
+        scorer = story(scenario=PASSAGE, level=True, stride=0.12, sections=3).judged()
         path = folder / "summary.png"
         return scorer, _drawn(path, scorer)
 
@@ -60,7 +60,7 @@ def test_plans_are_shown_without_strip_map(tmp_path, story, drawn_crossing):
 
 @pytest.mark.slow
 def test_impassable_section_shows_reach_and_reason(tmp_path, story, drawn_crossing):
-    none = _drawn(tmp_path / "none.png", story(scenario=PASSAGE, level=True, sections=1, way=False).judged())
+    none = _drawn(tmp_path / "none.png", story(scenario=PASSAGE, level=True, stride=0.12, sections=1, way=False).judged())
     words = (slice(1230, 1500), slice(80, 900))
     red = (0xB3, 0x26, 0x1E)
     _, some = drawn_crossing(story)
@@ -73,7 +73,7 @@ def test_impassable_section_shows_reach_and_reason(tmp_path, story, drawn_crossi
 
 @pytest.mark.slow
 def test_blocking_foothold_is_marked_with_grey_stance(tmp_path, story, drawn_crossing):
-    scorer = story(scenario=PASSAGE, level=True, sections=1, way=False).judged()
+    scorer = story(scenario=PASSAGE, level=True, stride=0.12, sections=1, way=False).judged()
     (section,) = scorer.trace.sections
     none = _drawn(tmp_path / "none.png", scorer)
     bare = replace(section.plan, leg=section.plan.leg[:0], footholds=section.plan.footholds[:0], body=section.plan.body[:0])
@@ -102,7 +102,7 @@ def test_failed_attempt_with_later_sections_is_not_marked(tmp_path, story, drawn
 def test_weak_pillar_is_marked(tmp_path, story, drawn_crossing):
     shaky = replace(PASSAGE, terrain=tuple(replace(p, weak=1) if isinstance(p, Pillars) else p for p in PASSAGE.terrain))
     walked = (slice(630, 1010), slice(120, 1430))
-    pixels = _drawn(tmp_path / "shaky.png", story(scenario=shaky, level=True, sections=1).judged())
+    pixels = _drawn(tmp_path / "shaky.png", story(scenario=shaky, level=True, stride=0.12, sections=1).judged())
     firm, _ = drawn_crossing(story)
     red = (0xB3, 0x26, 0x1E)
     assert not len(firm.trace.weak)
@@ -129,7 +129,7 @@ def test_passage_picture_is_written_only_for_run_with_sections(tmp_path, story, 
     drawn = []
     monkeypatch.setattr(passage_picture, "draw", lambda path, *_: drawn.append(path.name))
     for scenario, sections in ((PASSAGE, 3), (replace(PASSAGE, name="bare"), 0)):
-        told = story(scenario=scenario, level=True, sections=sections)
+        told = story(scenario=scenario, level=True, stride=0.12, sections=sections)
         attendance = RunObservers(told.profile, scenario, 0)
         attendance.scorer = told.judged()
         attendance.leave_behind(told.judged().result(), tmp_path / scenario.name)
@@ -138,7 +138,7 @@ def test_passage_picture_is_written_only_for_run_with_sections(tmp_path, story, 
 
 
 def test_merged_strips_keep_forgotten_cells_and_update_sunk_ones(story):
-    older = story(scenario=PASSAGE, level=True).passage(0, 2)
+    older = story(scenario=PASSAGE, level=True, stride=0.12).passage(0, 2)
     pillar, platform = (46, int(older.evaluation[46].argmin())), (15, 40)  # cells of one foothold on each
     assert older.evaluation[pillar] < -2 > older.evaluation[platform]
     forgotten, sunk = older.elevation.copy(), older.elevation.copy()
@@ -158,7 +158,7 @@ def test_merged_strips_keep_forgotten_cells_and_update_sunk_ones(story):
 
 @pytest.mark.slow
 def test_caption_counts_walked_steps_instead_of_requested_gait(story):
-    scorer = story(scenario=PASSAGE, level=True, sections=1).judged()
+    scorer = story(scenario=PASSAGE, level=True, stride=0.12, sections=1).judged()
     step = replace(scorer.trace.plans[0][1], swing=np.eye(6, dtype=bool)[0])
     trace = replace(scorer.trace, plans=tuple((0.1 * k, step) for k in range(7)))
     words = [text for text, _, _ in verdict(scorer.result(), trace, None)]
