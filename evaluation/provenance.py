@@ -7,6 +7,7 @@ import itertools
 import platform
 import re
 import subprocess
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,13 +29,21 @@ class Made:
         times = sorted(time for _, time in marks if time)
         return Made(tuple(commits), times[0], times[-1]) if times else Made(tuple(commits))
 
+    @staticmethod
+    def joined(several: Iterable["Made"]) -> "list[Made]":
+        """Join those of the same commits; return them in the order of their commits."""
+        groups: dict[tuple[str, ...], list[str]] = {}
+        for made in several:
+            groups.setdefault(made.commits, []).extend(filter(None, (made.first, made.last)))
+        return [Made(commits, min(times, default=""), max(times, default="")) for commits, times in sorted(groups.items())]
+
     @property
     def words(self) -> str:
         """Commits and dates as text."""
         if not self.commits:
             return "by an unknown commit"
-        days = sorted({self.first[:10], self.last[:10]})
-        return f"at commit {', '.join(self.commits)} on {' to '.join(days)}"
+        days = sorted({self.first[:10], self.last[:10]} - {""})
+        return f"at commit {', '.join(self.commits)}" + (f" on {' to '.join(days)}" if days else "")
 
 
 def commit() -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sextant.evaluation.provenance import Made
 from sextant.evaluation.trials import results_store, table_text
 from sextant.evaluation.trials import trials as batches
 from sextant.evaluation.trials.results_store import Run
@@ -185,7 +186,7 @@ def _footnotes(campaign: Campaign) -> list[str]:
     return [
         f"{reached}Median (worst) of the runs; missteps of all steps.",
         *(words for t in walked for words in _of_ways(t)),
-        *(f"Made {words}." for words in sorted({t.made.words for t in walked})),
+        *(f"Made {made.words}." for made in Made.joined(t.made for t in walked)),
         *(f"Left out: {words}." for words in campaign.left_out),
     ]
 

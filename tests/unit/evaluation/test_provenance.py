@@ -65,3 +65,13 @@ def test_machine_name_is_processor_model(monkeypatch):
         Path, "read_text", lambda *_args, **_more: "processor\t: 0\nmodel name\t: A Fast One\nmodel name\t: B\n"
     )
     assert provenance.machine() == "A Fast One"
+
+
+def test_results_of_one_commit_are_stated_once_with_all_their_days():
+    of = [Made(("b",), f"2026-01-0{day}T10:00", f"2026-01-0{day}T12:00") for day in (3, 1, 2)]
+    joined = Made.joined([*of, Made(("a",)), Made()])
+    assert [made.words for made in joined] == [
+        "by an unknown commit",
+        "at commit a",
+        "at commit b on 2026-01-01 to 2026-01-03",
+    ]
