@@ -4,13 +4,15 @@ python -m sextant.deploy.launch.warm_up
 """
 
 import argparse
+import hashlib
 import itertools
 import os
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,8 @@ from sextant.shared.scenario.scenario import load_scenario
 _SCENARIOS = ("steps", "cobbles", "puddle")  # with blocks, with a height field, and in colour
 _SHARES = (("planner",), ("perception", "mapper", "simulator"))  # both take about equally long when nothing is compiled
 _REPORT_EVERY_S = 0.5
+_PACKAGE = Path(__file__).parents[2]
+MARK = Path(__file__).parent / "__pycache__" / "warm_up.txt"  # fingerprint of what the last warm-up has compiled
 COMPILED = "compiled"  # first word of a line of progress; then process, compiled functions, all functions
 
 
@@ -39,7 +43,33 @@ def main() -> int:
     jobs = 1 if has_compiled() else min(len(_SHARES), usable_cores())
     for _ in share_out(_compile_share, [(share, arguments.progress) for share in _SHARES], jobs, in_order=False):
         pass
+    with suppress(OSError):  # without the mark the next warm-up looks at every function again
+        MARK.parent.mkdir(exist_ok=True)
+        MARK.write_text(_fingerprint(), encoding="ascii")
     return 0
+
+
+def is_complete() -> bool:
+    """Return whether nothing has changed since the last warm-up: source, compiled code, versions and processor."""
+    if "NUMBA_CACHE_DIR" in os.environ:  # the compiled code is not next to its source
+        return False
+    with suppress(OSError):
+        return MARK.read_text(encoding="ascii") == _fingerprint()
+    return False
+
+
+def _fingerprint() -> str:
+    """Return a digest of all that decides whether Numba finds its compiled code."""
+    from llvmlite import binding
+
+    digest = hashlib.blake2s(repr((sys.version, version("numba"), binding.get_host_cpu_name())).encode())
+    for folder, folders, files in os.walk(_PACKAGE, followlinks=True):
+        folders.sort()
+        for name in sorted(files):
+            if name.endswith((".py", ".nbi")):
+                found = Path(folder, name).stat()
+                digest.update(repr((folder, name, found.st_size, found.st_mtime_ns)).encode())
+    return digest.hexdigest()
 
 
 def has_compiled() -> bool:

@@ -135,11 +135,13 @@ def run_live_scenario(
 
 
 def warm_up(progress: Progress, interrupts: Interrupts) -> str:
-    """Compile everything that is compiled at first use, in a separate process.
+    """Compile everything that is compiled at first use, in a separate process, unless all of it is compiled.
 
     Returns:
         The error as text, or an empty string.
     """
+    if compilation.is_complete():
+        return ""
     began, found, told = time.monotonic(), CompiledFunctions(), None
     with Launcher([_WARM_UP], hear=found.hear) as launcher:
         while not interrupts.asked():

@@ -3,7 +3,7 @@
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +13,41 @@ import pytest
 from sextant.deploy.launch import warm_up
 from sextant.deploy.live.live_run import CompiledFunctions
 from sextant.services.planner.roadmap import roadmap_search
+
+
+@pytest.fixture(autouse=True)
+def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Keep the machine's own mark, which tells what is compiled."""
+    path = tmp_path / "cache" / "warm_up.txt"
+    monkeypatch.setattr(warm_up, "MARK", path)
+    return path
+
+
+def test_warm_up_is_complete_until_source_cache_or_processor_change(
+    mark: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "package"
+    package.mkdir()
+    monkeypatch.setattr(warm_up, "_PACKAGE", package)
+    monkeypatch.setattr(warm_up, "share_out", lambda *_, **__: iter(()))
+    monkeypatch.setattr(sys, "argv", ["warm_up"])
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+
+    def changes(change: Callable[[], object]) -> bool:
+        assert warm_up.main() == 0
+        assert warm_up.is_complete()
+        change()
+        return not warm_up.is_complete()
+
+    assert not warm_up.is_complete()
+    source, code = package / "loops.py", package / "loops.add-1.py311.nbi"
+    for path in (source, code):
+        assert changes(lambda path=path: path.write_text("1")), "added"
+        assert changes(lambda path=path: path.write_text("12")), "changed"
+    assert not changes((package / "notes.txt").touch)
+    assert changes(code.unlink)
+    assert changes(lambda: monkeypatch.setattr("llvmlite.binding.get_host_cpu_name", lambda: "another"))
+    assert changes(lambda: monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path)))
 
 
 @pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])
