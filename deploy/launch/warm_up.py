@@ -18,7 +18,6 @@ from typing import Any
 
 from sextant.deploy.terminal.output import say
 from sextant.shared.files import whole_files
-from sextant.shared.files.whole_files import WriteError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.operating_system import usable_cores
@@ -45,7 +44,7 @@ def main() -> int:
     jobs = 1 if has_compiled() else min(len(_SHARES), usable_cores())
     for _ in share_out(_compile_share, [(share, arguments.progress) for share in _SHARES], jobs, in_order=False):
         pass
-    with suppress(OSError, WriteError):  # without the mark the next warm-up looks at every function again
+    with suppress(OSError):  # without the mark the next warm-up looks at every function again
         whole_files.make_folder(MARK.parent)
         whole_files.write_text(MARK, _fingerprint())
     return 0
