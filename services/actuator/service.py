@@ -145,13 +145,13 @@ class Actuator:
         """Read legs that may meet ground, then the next servos of the rotation."""
         awaiting, touchdown = self._motion.executor.awaiting, self._estimator.touchdown
         touchdown.forget(~awaiting)
-        touchdown.see(self._measured(), self._joints.goals)
+        touchdown.begin_cycle(self._measured(), self._joints.goals)
         urgent = [3 * leg + FEMUR for leg in np.flatnonzero(awaiting).tolist()]
         for reading in self._joints.read(urgent):
             leg, joint = divmod(reading.index, 3)
             self._motion.goals.mark_read(leg, joint)
             if joint == FEMUR:
-                touchdown.read(leg, self._femur_reading(leg, reading))
+                touchdown.add_reading(leg, self._femur_reading(leg, reading))
 
     def _femur_reading(self, leg: int, reading: ServoReading) -> FemurReading:
         """Return a reading of a leg's femur servo in joint direction."""
@@ -268,7 +268,7 @@ class Actuator:
         if motion.end_posture():
             estimator.restart(self._measured())
             self._restart_walk(targets.feet)
-            motion.executor.doubt(~estimator.contact.legs)  # on uneven ground some feet hang
+            motion.executor.require_proof(~estimator.contact.legs)  # on uneven ground some feet hang
             self._guard.risen()
         else:
             self._perform(self._guard.seated(now_ns))
@@ -294,7 +294,7 @@ class Actuator:
             feet_now=walk.feet_odom,
             air_s=walk.air_s,
             trouble=walk.trouble,
-            waits=self._motion.waits,
+            waiting_reason=self._motion.waiting_reason,
         )
 
     # ---------------------------------------------------------------------------------------------------------- faults

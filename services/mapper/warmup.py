@@ -8,7 +8,7 @@ import numpy as np
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper
 from sextant.shared.color import codes
-from sextant.shared.geometry import from_xyz_rpy, to_millimetres
+from sextant.shared.geometry import Array, from_xyz_rpy, to_millimetres
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.warmup import WarmupRunner
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode, PassageRequest, Scan
@@ -28,9 +28,22 @@ def compile_functions(profile: RobotProfile, settings: Settings) -> None:
         stamp_ns, x = (k + 1) * period_ns, k * _STEP_M
         warmup.deliver(_actuator_state(profile, stamp_ns, x))
         T = from_xyz_rpy((x, 0.0, profile.stance.body_height), (0.0, 0.0, 0.0))
-        warmup.deliver(BodyPose(stamp_ns, T, np.eye(4), 1e-6 * np.eye(6), 1.0, True, "", np.zeros((0, 6))))
+        warmup.deliver(_body_pose(stamp_ns, T))
         warmup.deliver(PassageRequest(stamp_ns, np.array([0.5, 0.0]), 0.0, 0.6, 0.6))
         warmup.deliver(_scan(profile, stamp_ns, x))
+
+
+def _body_pose(stamp_ns: int, T_world_body: Array) -> BodyPose:
+    return BodyPose(
+        stamp_ns=stamp_ns,
+        T_world_body=T_world_body,
+        T_world_odom=np.eye(4),
+        covariance=1e-6 * np.eye(6),
+        overlap=1.0,
+        ok=True,
+        reason="",
+        degenerate=np.zeros((0, 6)),
+    )
 
 
 def _scan(profile: RobotProfile, stamp_ns: int, x: float) -> Scan:

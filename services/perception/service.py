@@ -86,7 +86,7 @@ class Perception:
         if self._check.is_late(image.stamp_ns):
             self._words = "the camera's frames arrive out of order; late frames are skipped"
             return
-        motion = self._odometry.at(image.stamp_ns)
+        motion = self._odometry.motion_at(image.stamp_ns)
         fault = self._check.fault(image, motion)
         if motion is None:
             self._words = "waiting for odometry from the actuator"
@@ -169,7 +169,7 @@ class Perception:
         """
         if self._coloring is None or self._tracker.last_registered is None or not self._check.has_expected_size(image):
             return
-        motion = self._odometry.at(image.stamp_ns)
+        motion = self._odometry.motion_at(image.stamp_ns)
         if motion is not None:
             T_world_camera = self._tracker.T_world_odom @ motion.T_odom_body @ self._camera.T_body_camera
             self._coloring.keep(image.stamp_ns, image.depth, np.asarray(T_world_camera))

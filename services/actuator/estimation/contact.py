@@ -11,7 +11,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import leg_jacobian
 from sextant.shared.robot.profile import RobotProfile
 
-_MIN_LEGS = 3
+_MIN_LEGS = 3  # minimum number of carrying feet that can support the body
 _MIDDLE = np.array([[0.0], [0.0], [1.0]])  # middle of the body, as a row x, y, 1
 _LEG_TRIPLES = np.array(list(combinations(range(6), 3)))  # (20, 3) all choices of three legs
 _OUTSIDE_SHARE = 0.05  # share of the body weight by which its middle may lie outside of three feet
@@ -27,7 +27,7 @@ class ContactEstimate:
     def __init__(self, profile: RobotProfile, params: ContactParams | None = None):
         """Begin with no contact."""
         self._profile, self._params = profile, params or ContactParams()
-        self._force = np.zeros(6)
+        self._force = np.zeros(6)  # (6,) [N] smoothed upward ground forces
         self.legs: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # (6,) in contact
 
     def update(self, q: Array, torque: Array, dt: float) -> NDArray[np.bool_]:

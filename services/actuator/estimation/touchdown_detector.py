@@ -13,12 +13,14 @@ from sextant.shared.robot.profile import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short
 _REFERENCE_MASS_KG = 2.5  # [kg] mass of the robot to which the limits of the parameters refer
-_NEAR_NS = 50_000_000  # [ns] longest time between two readings that determine the acceleration of the leg
-_SINCE_NS = 8_000_000  # [ns] after goals were sent at which the torque balance of a leg holds
-_STEP_NS = 20_000_000  # [ns] between goals
-_HEARD_NS = 5_000_000  # [ns] after goals were sent in which a servo may not have received them yet
-_MIN_TORQUE_CHANGE_NM = 0.1  # [N m] torque change by which this is detected; ticks and compliance margin cause half of it
-_LATE_NS = 30_000_000  # [ns] after a reading at which the next one is missed
+_MAX_READING_GAP_NS = 50_000_000  # [ns] maximum time between two readings from which the acceleration of the leg is computed
+_BALANCE_NS = 8_000_000  # [ns] time after goals are sent to which loads are converted, because the torque balance holds then
+_GOAL_PERIOD_NS = 20_000_000  # [ns] period at which goals are sent
+_TRANSMISSION_NS = 5_000_000  # [ns] time after goals are sent within which a servo may not have received them yet
+_MIN_TORQUE_CHANGE_NM = (
+    0.1  # [N m] minimum torque difference between two goals that a reading tells apart; ticks and compliance margin cause half
+)
+_LATE_NS = 30_000_000  # [ns] maximum age of a recent reading
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo after which the contact of its leg is unknown
 _NONE = np.zeros(6, dtype=np.bool_)
 _ALL = np.ones(6, dtype=np.bool_)
@@ -65,52 +67,62 @@ class TouchdownDetector:
         """Begin without a reading."""
         self._profile, self._params = profile, params or TouchdownParams()
         self._inertia = _leg_inertia(profile)
-        self._heavier = profile.body.total_mass / _REFERENCE_MASS_KG
-        self._speed = np.zeros(6)
-        self._goal, self._told = np.zeros(6), np.zeros(6)  # [rad] goals of the femurs, and their last change
-        self._jerk = np.zeros(6)  # [rad] difference between the last two changes
-        self._stamp_ns = np.full(6, -_NEAR_NS - 1, dtype=np.int64)
-        self._push = np.zeros((2, 6))  # [N] by the newest reading and the one before
-        self._tells = np.zeros(6, dtype=np.bool_)  # whether the newest reading and the one before are valid
-        self._links = np.zeros((6, 3))  # [N m] that hold the links, in the last cycle
+        self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
+        self._speed = np.zeros(6)  # [rad/s] of the femurs, by the newest readings
+        self._arm = np.full(6, self._params.min_arm_m)  # [m] horizontal lever arms of the feet over their femur axes
+        self._goal, self._goal_change = np.zeros(6), np.zeros(6)  # [rad] goals of the femurs, and their last change
+        self._goal_change_difference = np.zeros(6)  # (6,) [rad] absolute difference between the last two goal changes
+        self._stamp_ns = np.full(6, -_MAX_READING_GAP_NS - 1, dtype=np.int64)  # [ns] of the newest readings
+        self._push = np.zeros((2, 6))  # [N] upward ground force by the newest reading and the one before
+        self._valid = np.zeros(6, dtype=np.bool_)  # legs whose last two readings are close enough in time
+        self._holding_torque = np.zeros((6, 3))  # [N m] joint torques that hold the links against gravity
 
-    def see(self, q: Array, q_goal: Array) -> None:
-        """Update joint angles and goals (6, 3) [rad], once per cycle, before its readings."""
-        self._links = link_torques(self._profile, q)
-        links, shank = self._profile.links, q[:, 1] + q[:, 2]
-        self._arm = np.maximum(links.femur * np.cos(q[:, 1]) + links.tibia * np.cos(shank), self._params.min_arm_m)
-        told = q_goal[:, FEMUR] - self._goal
-        self._jerk, self._told, self._goal = np.abs(told - self._told), told, q_goal[:, FEMUR].copy()
+    def begin_cycle(self, q: Array, q_goal: Array) -> None:
+        """Set joint angles and goals (6, 3) [rad]; call it once per cycle, before `add_reading`."""
+        self._holding_torque = link_torques(self._profile, q)
+        links, tibia_angle = self._profile.links, q[:, 1] + q[:, 2]
+        self._arm = np.maximum(links.femur * np.cos(q[:, 1]) + links.tibia * np.cos(tibia_angle), self._params.min_arm_m)
+        change = q_goal[:, FEMUR] - self._goal
+        self._goal_change_difference = np.abs(change - self._goal_change)
+        self._goal_change, self._goal = change, q_goal[:, FEMUR].copy()
 
-    def read(self, leg: int, femur: FemurReading) -> None:
-        """Process a reading of a leg's femur."""
+    def add_reading(self, leg: int, femur: FemurReading) -> None:
+        """Compute the ground force on a foot from a reading of its femur."""
         speed, since_ns = femur.speed, femur.stamp_ns - int(self._stamp_ns[leg])
-        gathered, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
+        speed_change, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
         self._push[1, leg] = self._push[0, leg]
-        self._tells[leg] = 0 < since_ns <= _NEAR_NS
-        if not self._tells[leg]:
+        self._valid[leg] = 0 < since_ns <= _MAX_READING_GAP_NS
+        if not self._valid[leg]:
             self._push[:, leg] = 0.0  # acceleration is unknown
             return
         servo = self._profile.servo
-        speeding_up = self._inertia * gathered / (since_ns * 1e-9)
-        turning = servo.damping * speed + self._params.friction_ratio * servo.friction * np.sign(speed) + speeding_up
-        doubt = self._params.doubt_share * (abs(speeding_up) + servo.stiffness * float(self._jerk[leg]))
-        push = (turning + self._links[leg, FEMUR] - self._load_at_one_moment(leg, femur)) / self._arm[leg]
+        acceleration_torque = self._inertia * speed_change / (since_ns * 1e-9)
+        motion_torque = (
+            servo.damping * speed + self._params.friction_ratio * servo.friction * np.sign(speed) + acceleration_torque
+        )
+        uncertainty = self._params.doubt_share * (
+            abs(acceleration_torque) + servo.stiffness * float(self._goal_change_difference[leg])
+        )
+        push = (motion_torque + self._holding_torque[leg, FEMUR] - self._load_at_balance(leg, femur)) / self._arm[leg]
         free = abs(speed) > self._params.free_speed_share * servo.no_load_speed
-        self._push[0, leg] = 0.0 if free else np.sign(push) * max(abs(push) - doubt / self._arm[leg], 0.0)
+        self._push[0, leg] = 0.0 if free else np.sign(push) * max(abs(push) - uncertainty / self._arm[leg], 0.0)
 
-    def _load_at_one_moment(self, leg: int, femur: FemurReading) -> float:
+    def _load_at_balance(self, leg: int, femur: FemurReading) -> float:
         """Return a femur's motor torque [N m] when the torque balance holds.
 
         A servo read right after new goals may not have received them yet; its spring torque shows which goal it follows.
         """
         servo, goal = self._profile.servo, float(self._goal[leg])
-        since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), _STEP_NS)
-        before = goal - float(self._told[leg])
-        new, old = (_pull(servo, aim, femur.angle) for aim in (goal, before))
-        if since_ns < _HEARD_NS and abs(new - old) > _MIN_TORQUE_CHANGE_NM and abs(femur.load - old) < abs(femur.load - new):
-            since_ns, goal, new = since_ns + _STEP_NS, before, old
-        then = _pull(servo, goal, femur.angle + femur.speed * (_SINCE_NS - since_ns) * 1e-9)
+        since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), _GOAL_PERIOD_NS)
+        before = goal - float(self._goal_change[leg])
+        new, old = (_spring_torque(servo, aim, femur.angle) for aim in (goal, before))
+        if (
+            since_ns < _TRANSMISSION_NS
+            and abs(new - old) > _MIN_TORQUE_CHANGE_NM
+            and abs(femur.load - old) < abs(femur.load - new)
+        ):
+            since_ns, goal, new = since_ns + _GOAL_PERIOD_NS, before, old
+        then = _spring_torque(servo, goal, femur.angle + femur.speed * (_BALANCE_NS - since_ns) * 1e-9)
         return femur.load + then - new
 
     def forget(self, legs: NDArray[np.bool_]) -> None:
@@ -135,23 +147,23 @@ class TouchdownDetector:
     @property
     def leans(self) -> NDArray[np.bool_]:
         """(6,) feet that stand by their newest reading; the next one has to confirm."""
-        return np.asarray(self._push[0] / self._heavier > self._params.bears_n)
+        return np.asarray(self._push[0] / self._mass_ratio > self._params.bears_n)
 
     def _above(self, twice: float, once: float) -> NDArray[np.bool_]:
         """Return feet (6,) whose push exceeds `twice` [N] twice or `once` [N] once."""
-        push = self._push / self._heavier
+        push = self._push / self._mass_ratio
         return np.asarray((push > twice).all(axis=0) | (push[0] > once))
 
     def heard(self, now_ns: int) -> NDArray[np.bool_]:
         """(6,) legs with valid recent readings."""
-        return np.asarray(self._tells & (now_ns - self._stamp_ns <= _LATE_NS))
+        return np.asarray(self._valid & (now_ns - self._stamp_ns <= _LATE_NS))
 
     def silent(self, now_ns: int) -> NDArray[np.bool_]:
         """(6,) legs whose servo has not answered for a while; their contact is unknown."""
         return np.asarray(now_ns - self._stamp_ns > _SILENT_NS)
 
 
-def _pull(servo: Servo, goal: float, angle: float) -> float:
+def _spring_torque(servo: Servo, goal: float, angle: float) -> float:
     """Return the torque [N m] of a servo with a goal and an angle [rad]."""
     return min(max(servo.stiffness * (goal - angle), -servo.stall_torque), servo.stall_torque)
 

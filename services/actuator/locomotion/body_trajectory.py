@@ -24,25 +24,25 @@ class BodyTrajectory:
     def __init__(self, T_odom_body: Array):
         """Begin at rest, with {cmd} at {odom}."""
         self.T_odom_cmd: Array = np.eye(4)
-        self.place = coordinates(T_odom_body)  # (6,) [m, rad] {cmd} commanded body pose
-        self._velocity = np.zeros(6)  # [m/s, rad/s]
+        self.xyz_rpy = xyz_rpy_from(T_odom_body)  # (6,) [m, rad] {cmd} commanded body pose
+        self._velocity = np.zeros(6)  # (6,) [m/s, rad/s] of `xyz_rpy`
         self.begin(0.0, 1.0)
 
-    def begin(self, at_s: float, end_s: float, velocity_scale: float = 1.0) -> None:
+    def begin(self, now_s: float, end_s: float, velocity_scale: float = 1.0) -> None:
         """Begin a path at the present pose.
 
         Args:
-            at_s: [s] time of the step now.
+            now_s: [s] present time of the step.
             end_s: [s] time of the step at the end of the path.
-            velocity_scale: Present velocity per time of the step, as a multiple of the one before.
+            velocity_scale: Factor on the present velocity, because the time of the step now runs at another speed.
         """
-        self._start, self._start_velocity = self.place.copy(), self._velocity * velocity_scale
-        self._start_s, self._end_s = at_s, end_s
+        self._start, self._start_velocity = self.xyz_rpy.copy(), self._velocity * velocity_scale
+        self._start_s, self._end_s = now_s, end_s
 
     @property
     def T_odom_body(self) -> Array:
         """(4, 4) {odom} commanded body pose now."""
-        return np.asarray(self.T_odom_cmd @ pose(self.place))
+        return np.asarray(self.T_odom_cmd @ pose(self.xyz_rpy))
 
     @property
     def T_cmd_start(self) -> Array:
@@ -59,11 +59,11 @@ class BodyTrajectory:
 
     def to_body(self, points: Array) -> Array:
         """Return points (n, 3) [m] {cmd} in the commanded body frame."""
-        return apply(inverse(pose(self.place)), points)
+        return apply(inverse(pose(self.xyz_rpy)), points)
 
     def goal(self, T_world_odom: Array, T_world_body: Array) -> Array:
         """Return a body goal as coordinates (6,) {cmd}, with angles unwrapped."""
-        goal = coordinates(inverse(T_world_odom @ self.T_odom_cmd) @ T_world_body)
+        goal = xyz_rpy_from(inverse(T_world_odom @ self.T_odom_cmd) @ T_world_body)
         goal[3:] = self._start[3:] + wrapped(goal[3:] - self._start[3:])
         return goal
 
@@ -73,56 +73,56 @@ class BodyTrajectory:
         Args:
             elapsed_s: [s] time of the step.
             goal: (6,) [m, rad] {cmd} end of the path, from `goal`.
-            stop: Whether the body rests there.
+            stop: Whether the body rests at the goal.
         """
-        whole = self._end_s - self._start_s
-        end_velocity = np.zeros(6) if stop else (goal - self._start) / whole
-        way = (self._start, self._start_velocity, goal, end_velocity)
-        self.place, self._velocity = hermite(*way, whole, min(elapsed_s - self._start_s, whole))
+        duration_s = self._end_s - self._start_s
+        end_velocity = np.zeros(6) if stop else (goal - self._start) / duration_s
+        t = min(elapsed_s - self._start_s, duration_s)
+        self.xyz_rpy, self._velocity = hermite(self._start, self._start_velocity, goal, end_velocity, duration_s, t)
 
     def pause(self) -> None:
-        """Stay at the present pose for now."""
+        """Stay at the present pose in this cycle."""
         self._velocity = np.zeros(6)
 
     def brake(self, dt: float, brake_s: float) -> None:
         """Come to rest without a goal, with a time constant [s]."""
         self._velocity = self._velocity * np.exp(-dt / brake_s)
-        self.place = self.place + self._velocity * dt
+        self.xyz_rpy = self.xyz_rpy + self._velocity * dt
 
-    def rest_poses(self, goal: Array, left_s: float, velocity_scale: float) -> Iterator[Array]:
+    def rest_poses(self, goal: Array, braking_s: float, velocity_scale: float) -> Iterator[Array]:
         """Yield poses (4, 4) {cmd} at which the body could rest, from the earliest possible one to its goal.
 
         Args:
             goal: (6,) [m, rad] {cmd} end of the path.
-            left_s: [s] braking time.
+            braking_s: [s] time until the body rests.
             velocity_scale: Present speed of the step relative to its plan.
         """
         velocity = velocity_scale * self._velocity
-        soon = self.place + left_s / 3.0 * velocity  # brakes with a deceleration that decreases linearly to zero
-        if (goal - self.place) @ (_PATH_WEIGHTS * velocity) > 0.0 > (goal - soon) @ (_PATH_WEIGHTS * velocity):
-            soon = goal
+        earliest = self.xyz_rpy + braking_s / 3.0 * velocity  # brakes with a deceleration that decreases linearly to zero
+        if (goal - self.xyz_rpy) @ (_PATH_WEIGHTS * velocity) > 0.0 > (goal - earliest) @ (_PATH_WEIGHTS * velocity):
+            earliest = goal
         for share in np.linspace(0.0, 1.0, _STOP_POSES):
-            yield pose(soon + share * (goal - soon))
+            yield pose(earliest + share * (goal - earliest))
 
     def follow(self, dt: float, T_odom_body: Array) -> None:
         """Move {cmd} in {odom} so that commanded and measured x, y and yaw converge."""
         ref = self.T_odom_body
-        place = ref[:3, 3]
-        way = (T_odom_body[:3, 3] - place) * LEVEL
+        p = ref[:3, 3]
+        offset = (T_odom_body[:3, 3] - p) * LEVEL
         turn = math.remainder(yaw_of(T_odom_body) - yaw_of(ref), math.tau)
         R = rotation_z(_FOLLOW_GAIN * dt * turn)
         # First turn about the body, then translate.
-        step = transform(R, place - R @ place + _FOLLOW_GAIN * dt * way)
+        step = transform(R, p - R @ p + _FOLLOW_GAIN * dt * offset)
         self.T_odom_cmd = step @ self.T_odom_cmd
 
     def error(self, T_odom_body: Array) -> Array:
         """Return commanded minus measured coordinates (6,) [m, rad] {cmd} of a measured pose (4, 4)."""
-        error = self.place - coordinates(inverse(self.T_odom_cmd) @ T_odom_body)
+        error = self.xyz_rpy - xyz_rpy_from(inverse(self.T_odom_cmd) @ T_odom_body)
         error[3:] = wrapped(error[3:])
         return np.asarray(error)
 
 
-def coordinates(T: Array) -> Array:
+def xyz_rpy_from(T: Array) -> Array:
     """Return position [m] and roll, pitch, yaw [rad] (6,) of a pose (4, 4).
 
     The body never pitches far enough for a singularity.
@@ -130,9 +130,9 @@ def coordinates(T: Array) -> Array:
     return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
 
 
-def pose(place: Array) -> Array:
+def pose(xyz_rpy: Array) -> Array:
     """Return the pose (4, 4) with coordinates (6,) [m, rad]."""
-    return from_xyz_rpy(place[:3], place[3:])
+    return from_xyz_rpy(xyz_rpy[:3], xyz_rpy[3:])
 
 
 def wrapped(angle: Array) -> Array:
@@ -141,15 +141,13 @@ def wrapped(angle: Array) -> Array:
 
 
 def hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: float) -> tuple[Array, Array]:
-    """Return position (6,) and speed (6,) [per s] at t [s] of a cubic.
+    """Return position (6,) and velocity (6,) [per s] at t [s] of a cubic.
 
-    It goes from p0 with speed v0 to p1 with speed v1.
-
-    It is a straight line if both speeds equal the mean speed.
+    It starts at p0 with velocity v0 and ends at p1 with velocity v1. If both equal the mean velocity, it is a straight line.
     """
     s = t / duration
     h00, h10 = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s
     h01, h11 = -2 * s**3 + 3 * s**2, s**3 - s**2
-    place = h00 * p0 + h10 * duration * v0 + h01 * p1 + h11 * duration * v1
-    speed = 6 * s * (1 - s) * (p1 - p0) / duration + (3 * s**2 - 4 * s + 1) * v0 + (3 * s**2 - 2 * s) * v1
-    return place, speed
+    position = h00 * p0 + h10 * duration * v0 + h01 * p1 + h11 * duration * v1
+    velocity = 6 * s * (1 - s) * (p1 - p0) / duration + (3 * s**2 - 4 * s + 1) * v0 + (3 * s**2 - 2 * s) * v1
+    return position, velocity

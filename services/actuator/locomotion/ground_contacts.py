@@ -31,9 +31,9 @@ class GroundContacts:
         """Begin with feet (6, 3) [m] {cmd} that stand at heights (6,) [m] {odom}."""
         self.ground = ground.copy()  # (6,) [m] {odom} heights at which the standing feet were set down
         self.stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swing legs that met ground before their targets
-        self.met = feet.copy()  # (6, 3) [m] {cmd} where they met it
+        self.met = feet.copy()  # (6, 3) [m] {cmd} positions where feet met ground
         self.proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have carried load since touchdown
-        self.short = np.zeros(6)  # [m] over their targets at which legs were stopped, by ground or by a false touchdown
+        self.stop_height = np.zeros(6)  # [m] over their targets at which feet were stopped, by ground or by a false touchdown
         self._landed: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # legs of the last swing
         self._surveyed = np.zeros(6)  # [m] height corrections of new footholds
         self._findings: list[Finding] = []
@@ -46,7 +46,7 @@ class GroundContacts:
     def lift_off(self, legs: NDArray[np.bool_]) -> None:
         """Begin the swing of legs (6,), which must prove that they stand afterwards."""
         self.proven[legs] = False
-        self.short[legs] = 0.0
+        self.stop_height[legs] = 0.0
         self._landed = legs.copy()
 
     def prove(self, felt: FootContact, candidates: NDArray[np.bool_]) -> None:
@@ -84,7 +84,7 @@ class GroundContacts:
         over = met[:, 2] - targets[:, 2]
         early = legs & (over > _EARLY_M)
         self.stay(early, met, feet_odom)
-        self.short[early] = over[early]
+        self.stop_height[early] = over[early]
 
     def stay(self, legs: NDArray[np.bool_], met: Array, feet_odom: Array) -> None:
         """Keep feet at measured positions (6, 3) [m], in {cmd} and in {odom}."""

@@ -7,18 +7,18 @@ from sextant.services.actuator.estimation.touchdown_detector import FootContact
 from sextant.shared.geometry import Array
 
 SEARCH_DEPTH_M = 0.04  # [m] by which a foot searches below its target
-_SPEED_M_S = 0.04
+_SPEED_M_S = 0.04  # [m/s] at which searching feet move down
 _PUSHED_DOWN_M = 0.005  # [m] of search after which the load of all joints of the leg shows that the foot stood all the time
 
 
 class GroundSearch:
     """Feet that move down until they meet ground."""
 
-    def __init__(self, legs: NDArray[np.bool_], short: Array):
+    def __init__(self, legs: NDArray[np.bool_], stop_height: Array):
         """Begin with legs (6,) that were stopped at heights (6,) [m] over their targets."""
-        self.legs = legs.copy()  # (6,) still searching
-        self.depth = 0.0  # [m] below where they stood
-        self._reach = SEARCH_DEPTH_M + short  # (6,) [m] largest depth of each
+        self.legs = legs.copy()  # (6,) legs that still search
+        self.depth = 0.0  # [m] below the heights at which the feet stood
+        self._reach = SEARCH_DEPTH_M + stop_height  # (6,) [m] largest depth of each
 
     def update(self, felt: FootContact) -> NDArray[np.bool_]:
         """Return legs (6,) that have found ground; they no longer search."""
@@ -34,6 +34,6 @@ class GroundSearch:
         return np.asarray(self.legs & (self.depth > self._reach - 1e-9))
 
     def deepen(self, dt: float) -> float:
-        """Go deeper for `dt` [s]; return by how much [m]."""
+        """Search deeper for `dt` [s]; return the increase in depth [m]."""
         self.depth += _SPEED_M_S * dt
         return _SPEED_M_S * dt

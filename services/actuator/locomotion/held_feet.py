@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from sextant.services.actuator.estimation.touchdown_detector import FootContact
 from sextant.shared.geometry import Array
 
-_LAG_M, _LAG_S = 0.05, 0.4  # lag of a foot in the air, and its duration, from which it counts as held
+_LAG_M, _LAG_S = 0.05, 0.4  # [m] [s] lag of a foot in the air, and its duration, from which it counts as held
 
 
 class HeldFeet:
@@ -14,7 +14,7 @@ class HeldFeet:
 
     def __init__(self) -> None:
         """Begin with feet that follow."""
-        self._lag_s = np.zeros(6)
+        self._lag_s = np.zeros(6)  # (6,) [s] for which feet have lagged by more than `_LAG_M`
 
     def reset(self, legs: NDArray[np.bool_]) -> None:
         """Discard the lag of legs (6,)."""

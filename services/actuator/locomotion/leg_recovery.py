@@ -16,9 +16,9 @@ class LegRecovery:
         self.hung: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) not recovered yet
         self.dangling: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) those of them that were in the air
         self._coming: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) in recovery
-        self._torque_lost: _Flags = np.zeros((6, 3), dtype=np.bool_)
-        self._failed: _Flags = np.zeros((6, 3), dtype=np.bool_)  # joints that caused it
-        self._lost: _Flags = np.zeros(6, dtype=np.bool_)
+        self._torque_lost: _Flags = np.zeros((6, 3), dtype=np.bool_)  # joints of hanging legs that have been without torque
+        self._failed: _Flags = np.zeros((6, 3), dtype=np.bool_)  # (6, 3) joints for which their legs need recovery
+        self._lost: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) legs that cannot be controlled now
 
     def update(self, torque_disabled: _Flags, unsure: _Flags, flying: _Flags) -> _Flags:
         """Update with the state of the legs.

@@ -48,7 +48,7 @@ class MotionController:
         self._recovery = LegRecovery()
 
     def take_over(self, slowly: bool) -> None:
-        """Continue from where the legs are; earlier targets do not count."""
+        """Continue from the present joint angles; discard earlier targets."""
         self.goals.begin_motion()
         if slowly:
             self._limit(_ALL, GENTLE)
@@ -107,13 +107,13 @@ class MotionController:
     def recover_legs(
         self, torque_disabled: NDArray[np.bool_], unsure: NDArray[np.bool_], feet_odom: Array, goals: Array
     ) -> None:
-        """Step legs that hung back to their footholds as soon as possible.
+        """Step legs that were without torque back to their footholds as soon as possible.
 
-        Without a step they would scrape or jam, because they start from an arbitrary position.
+        They start from an arbitrary position, so without a step they would scrape or jam.
 
         Args:
             torque_disabled: (6, 3) joints whose servo has no torque.
-            unsure: (6, 3) the same, and joints that are not yet at their goal after a silence.
+            unsure: (6, 3) these joints, and joints that are not yet at their goal after their servo did not respond.
             feet_odom: (6, 3) [m] {odom} measured feet.
             goals: (6, 3) [rad] last goals.
         """
@@ -189,10 +189,10 @@ class MotionController:
         return np.asarray(self.goals.limits.behind | self._recovery.waiting).ravel()
 
     @property
-    def waits(self) -> str:
+    def waiting_reason(self) -> str:
         """Why no plan may be walked yet, or an empty string."""
         walk = self.executor
         if walk.searching.any() or walk.is_returning:
             return walk.trouble
-        takes_up = walk.gentle or (walk.resting and self.goals.limits.is_limiting)
-        return "the joints are catching up with their goals, slowly" if takes_up else ""
+        catches_up = walk.gentle or (walk.resting and self.goals.limits.is_limiting)
+        return "the joints are catching up with their goals, slowly" if catches_up else ""

@@ -41,7 +41,7 @@ class RunningStep:
     gentle: bool = False  # whether it brings hanging feet back
     returns: bool = False  # whether its feet return to the footholds that they have just left
     elapsed_s: float = 0.0  # [s] of the plan
-    hurry: float = 1.0  # speed relative to the plan
+    speedup: float = 1.0  # speed relative to the plan
     flight: Swing | SixthOrderArc | None = None  # paths of the feet since lift-off
     wait: LiftOffWait = field(default_factory=LiftOffWait)
 
@@ -58,12 +58,12 @@ class RunningStep:
     @property
     def air_s(self) -> float:
         """[s] for which feet are still in the air."""
-        return max(self.touchdown_s - max(self.elapsed_s, self.unload_s), 0.0) / self.hurry
+        return max(self.touchdown_s - max(self.elapsed_s, self.unload_s), 0.0) / self.speedup
 
     def advance(self, dt: float) -> float:
         """Advance by `dt` [s]; return the time [s] of the plan before."""
         before = self.elapsed_s
-        self.elapsed_s = min(before + self.hurry * dt, self.plan.duration)
+        self.elapsed_s = min(before + self.speedup * dt, self.plan.duration)
         return before
 
     def swing_share(self, elapsed_s: float) -> float:

@@ -35,13 +35,13 @@ _GENTLE_S = 1.0  # [s] in which hanging feet return to the ground; longer if the
 _PICKED_UP_M = 0.03  # [m] clearance of feet that may lie on the ground
 _DETECT_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which touchdown is detected, and from which it may stop the foot
 _FEEL_FROM_S = 0.03  # [s] before lift-off from which the other legs must prove that they stand
-_BACK_S = 1.4  # [s] in which a step is taken back
-_BACK_CLEARANCE_M = 0.03  # [m] minimum clearance of that
-_SOON_S = 0.33  # [s] in which feet in the air reach the ground once the robot has to stop
+_RETURN_S = 1.4  # [s] duration of a step that returns the feet to their last footholds
+_RETURN_CLEARANCE_M = 0.03  # [m] minimum clearance of that step
+_SET_DOWN_S = 0.33  # [s] in which feet in the air reach the ground once the robot has to stop
 _BRAKE_S = 0.2  # [s] minimum braking time of the body, if its step lasts that long
-_MAX_SPEEDUP = 1.75  # largest speed-up of a step for that; at a factor of two, joints arrive late, one by one
-_NEARLY_BACK_M = 0.015  # [m] below this height a returning foot may meet ground; higher, the reversal looks like touchdown
-_LOW_M = 0.010  # [m] clearance of feet that return to their last footholds
+_MAX_SPEEDUP = 1.75  # largest speed-up of a step that sets its feet down; at a factor of two, joints arrive late
+_RETURN_CONTACT_M = 0.015  # [m] below this height a returning foot may meet ground; higher, the reversal looks like touchdown
+_REVERSAL_CLEARANCE_M = 0.010  # [m] clearance of feet that reverse in mid-swing
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +75,11 @@ class StepExecutor:
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
         self._contacts = GroundContacts(self._feet, self._feet[:, 2] if ground is None else ground)
         self._held = HeldFeet()
-        self._share = np.ones(6)
+        self._share = np.ones(6)  # share of its load that each leg may carry
         self._running: RunningStep | None = None
         self._next: StepPlan | None = None
         self._search: GroundSearch | None = None
-        self._way_back: StepPlan | None = None  # to the stance before the last planned step, with {cmd} as {world}
+        self._return_plan: StepPlan | None = None  # back to the stance before the last planned step, with {cmd} as {world}
 
     # ------------------------------------------------------------------------------------------------------------ state
 
@@ -184,7 +184,7 @@ class StepExecutor:
 
     # --------------------------------------------------------------------------------------------------------- commands
 
-    def doubt(self, legs: NDArray[np.bool_]) -> None:
+    def require_proof(self, legs: NDArray[np.bool_]) -> None:
         """Require legs (6,) to prove that they stand before others are lifted."""
         self._contacts.proven &= ~legs
 
@@ -198,7 +198,7 @@ class StepExecutor:
             self._next = plan
             return
         self.plan_ns = plan.stamp_ns
-        if running.flight is None and _another(plan, running.plan):
+        if running.flight is None and _changes_swing(plan, running.plan):
             running.plan = plan
             self._body.begin(running.elapsed_s, plan.duration)
         else:
@@ -210,16 +210,16 @@ class StepExecutor:
         """Lower hanging feet by heights (6,) [m], while the other legs stand."""
         touchdown = self.feet_odom
         touchdown[:, 2] -= lifted
-        self._bring(lifted > 0.0, touchdown, clearance=0.0)
+        self._begin_gentle_step(lifted > 0.0, touchdown, clearance=0.0)
 
     def put_back(self, legs: NDArray[np.bool_], feet: Array) -> None:
         """Step legs from feet at (6, 3) [m] {odom} to their commanded footholds."""
         touchdown = self.feet_odom
         self._feet[legs] = self._body.to_cmd(feet)[legs]
         self._posture.reset(legs)  # their measured position is their commanded one
-        self._bring(legs, touchdown, _PICKED_UP_M)
+        self._begin_gentle_step(legs, touchdown, _PICKED_UP_M)
 
-    def _bring(self, legs: NDArray[np.bool_], touchdown: Array, clearance: float) -> None:
+    def _begin_gentle_step(self, legs: NDArray[np.bool_], touchdown: Array, clearance: float) -> None:
         """Begin a gentle step of unloaded legs to touchdowns (6, 3) [m] {odom}.
 
         The body stays where it is.
@@ -251,50 +251,50 @@ class StepExecutor:
         self._next = self._next and _turned(self._next, T)
         if self._running is not None:
             self._running.plan = _turned(self._running.plan, T)
-        if self._way_back is not None:
-            self._way_back = replace(self._way_back, touchdown=apply(T_cmd, self._way_back.touchdown))
+        if self._return_plan is not None:
+            self._return_plan = replace(self._return_plan, touchdown=apply(T_cmd, self._return_plan.touchdown))
 
     def set_down(self, reaches: Callable[[Array], bool]) -> None:
-        """Stand as soon as possible: feet in the air go on or back, the sooner of the two.
+        """Stand as soon as possible.
 
-        Both are footholds that were checked before. No further leg is lifted. The body brakes at once, unless its legs would
-        not reach their footholds from there.
+        Feet in the air continue to their touchdowns, or return to their last footholds if that is faster. No further leg is
+        lifted. The body brakes at once, unless its legs would not reach their footholds from there.
 
         Args:
             reaches: Whether the legs reach feet (6, 3) [m] {body}.
         """
         self._next = None
-        running, back = self._running, self._way_back
+        running, back = self._running, self._return_plan
         if running is None or not running.is_planned:
             return
         if running.flight is None or not running.plan.swing.any():
             self._running, self.phase = None, 1.0
             return
         since, left = running.elapsed_s - running.unload_s, running.plan.duration - running.elapsed_s
-        on_s, back_s = min(left, max(_SOON_S, left / _MAX_SPEEDUP)), min(since, _SOON_S) + running.load_s
+        on_s, back_s = min(left, max(_SET_DOWN_S, left / _MAX_SPEEDUP)), min(since, _SET_DOWN_S) + running.load_s
         if back is None or on_s <= back_s:
-            self._come_to_rest(running, max(running.hurry, left / on_s), reaches)
+            self._come_to_rest(running, max(running.speedup, left / on_s), reaches)
             return
-        returning = self._begin(self._returning(back, clearance=_LOW_M, duration=running.unload_s + back_s))
+        returning = self._begin(self._renumbered(back, clearance=_REVERSAL_CLEARANCE_M, duration=running.unload_s + back_s))
         returning.elapsed_s = returning.unload_s  # its feet are already unloaded
         returning.returns = True
-        self._come_to_rest(returning, returning.hurry, reaches)
+        self._come_to_rest(returning, returning.speedup, reaches)
         self.trouble = "the step is reversed"
 
-    def _come_to_rest(self, running: RunningStep, hurry: float, reaches: Callable[[Array], bool]) -> None:
+    def _come_to_rest(self, running: RunningStep, speedup: float, reaches: Callable[[Array], bool]) -> None:
         """Finish the running step at `hurry` times its planned speed.
 
         The body moves only as far as necessary. It stops when the feet are down, and does not wait until they are loaded.
         """
         plan, now_s = running.plan, running.elapsed_s
-        end_s = min(max(running.touchdown_s, now_s + hurry * _BRAKE_S), plan.duration)
+        end_s = min(max(running.touchdown_s, now_s + speedup * _BRAKE_S), plan.duration)
         goal, feet = self._body.goal(plan.T_world_odom, plan.body_goal), self._body.to_cmd(self._feet_at_end(plan))
-        for T_cmd_rest in self._body.rest_poses(goal, (end_s - now_s) / hurry, running.hurry):
+        for T_cmd_rest in self._body.rest_poses(goal, (end_s - now_s) / speedup, running.speedup):
             if reaches(apply(inverse(T_cmd_rest), feet)):
                 break
         running.plan = replace(plan, stop=True, body_goal=plan.T_world_odom @ self._body.T_odom_cmd @ T_cmd_rest)
-        self._body.begin(now_s, end_s, velocity_scale=running.hurry / hurry)
-        running.hurry = hurry
+        self._body.begin(now_s, end_s, velocity_scale=running.speedup / speedup)
+        running.speedup = speedup
 
     def _feet_at_end(self, plan: StepPlan) -> Array:
         """Return the feet (6, 3) [m] {odom} at the end of a running step."""
@@ -329,7 +329,7 @@ class StepExecutor:
         else:
             self._advance(dt * pace if self.gentle else dt, self._running, felt)
         self._contacts.settle(self._feet, dt)
-        level = rotation_from_rpy(body.place[3:] * LEVEL)
+        level = rotation_from_rpy(body.xyz_rpy[3:] * LEVEL)
         return Targets(body.to_body(self._posture.lowered(self._feet)), self._share.copy(), level)
 
     def _begin(self, plan: StepPlan) -> RunningStep:
@@ -368,16 +368,16 @@ class StepExecutor:
 
     def _lift_off(self, plan: StepPlan) -> None:
         """Store the stance before lift-off, to which the robot can return from a planned step."""
-        self._way_back = None
+        self._return_plan = None
         if plan.stamp_ns >= 0:
-            self._way_back = replace(
+            self._return_plan = replace(
                 plan,
                 stamp_ns=-1,
                 T_world_odom=np.eye(4),
                 touchdown=self._feet.copy(),
-                clearance=np.maximum(plan.clearance, _BACK_CLEARANCE_M),
+                clearance=np.maximum(plan.clearance, _RETURN_CLEARANCE_M),
                 body_goal=self._body.T_cmd_start,
-                duration=_BACK_S,
+                duration=_RETURN_S,
                 stop=True,
             )
         self._contacts.lift_off(plan.swing)
@@ -393,7 +393,7 @@ class StepExecutor:
             goals = self.feet_odom if felt.goals is None else felt.goals
             held = self._held.update(legs & ~contacts.stopped, goals, felt, running.elapsed_s - before)
             if held.any():
-                self._return_step(held, felt.feet)
+                self._reverse_step(held, felt.feet)
                 return
         targets = apply(inverse(running.plan.T_world_odom @ self._body.T_odom_cmd), running.plan.touchdown)  # {cmd}
         if running.flight is None:
@@ -417,7 +417,7 @@ class StepExecutor:
         measured = self._body.to_cmd(felt.feet)
         if running.returns:
             highest = np.maximum(self._feet[:, 2], measured[:, 2])  # the foot lags
-            met &= highest - targets[:, 2] < _NEARLY_BACK_M
+            met &= highest - targets[:, 2] < _RETURN_CONTACT_M
         self._contacts.stop_early(met, targets, measured, felt.feet)
         self._contacts.proven &= ~felt.heaves  # the body may have tilted for another reason
 
@@ -429,18 +429,18 @@ class StepExecutor:
 
     # --------------------------------------------------------------------------------------------------- missing ground
 
-    def _return_step(self, held: NDArray[np.bool_], feet: Array) -> None:
-        """Return all feet of the step, because some (6,) are held at (6, 3) [m] {odom}.
+    def _reverse_step(self, held: NDArray[np.bool_], feet: Array) -> None:
+        """Return all swing feet, because some (6,) are blocked at (6, 3) [m] {odom}.
 
         To continue would drag the robot over its standing feet at full servo torque.
         """
-        assert self._way_back is not None
+        assert self._return_plan is not None
         self._feet[held] = self._body.to_cmd(feet)[held]
-        self._begin(self._returning(self._way_back, clearance=_LOW_M))
+        self._begin(self._renumbered(self._return_plan, clearance=_REVERSAL_CLEARANCE_M))
         self.trouble = f"an obstacle blocks the {_names(held)} foot; the step is reversed"
 
-    def _returning(self, back: StepPlan, clearance: float | None = None, duration: float | None = None) -> StepPlan:
-        """Return the step back to a stance, as numbered and placed now."""
+    def _renumbered(self, back: StepPlan, clearance: float | None = None, duration: float | None = None) -> StepPlan:
+        """Return a plan back to a stance, with the present step number and {cmd}."""
         return replace(
             back,
             step=self.step,
@@ -455,7 +455,7 @@ class StepExecutor:
         The others stand meanwhile.
         """
         self._running, self._next, self.phase = None, None, 1.0
-        self._search = GroundSearch(legs, self._contacts.short)
+        self._search = GroundSearch(legs, self._contacts.stop_height)
         self._contacts.release(legs)  # they were not stopped by ground: no longer hold them there
         self.trouble = f"no ground under the {_names(legs)} foot at the expected height; the foot reaches down"
 
@@ -478,14 +478,14 @@ class StepExecutor:
         self._contacts.report_missing(lost, felt.feet)
         self._search = None
         self.trouble = f"no ground under the {_names(lost)} foot down to {SEARCH_DEPTH_M * 100:.0f} cm below its foothold"
-        if self._way_back is None:
+        if self._return_plan is None:
             self.trouble += "; the foot stays there"
         else:
-            self._begin(self._returning(self._way_back))
+            self._begin(self._renumbered(self._return_plan))
             self.trouble += "; the step is reversed"
 
 
-def _another(plan: StepPlan, running: StepPlan) -> bool:
+def _changes_swing(plan: StepPlan, running: StepPlan) -> bool:
     """Return whether a plan of the running step changes clearance or duration."""
     return plan.duration != running.duration or bool((plan.clearance != running.clearance).any())
 

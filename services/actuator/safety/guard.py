@@ -53,7 +53,7 @@ class Legs:
     feet_now: Array  # (6, 3) [m] {odom} commanded feet now
     air_s: Array  # (6,) [s] for which the swinging feet are still in the air; infinite for the others
     trouble: str  # problem of the last step, or an empty string
-    waits: str  # why no plan may be walked yet, or an empty string
+    waiting_reason: str  # why no plan may be walked yet, or an empty string
 
 
 class Guard:
@@ -271,8 +271,8 @@ class Guard:
             return f"the mode is {self.mode}, not ordered to walk"
         if not self.lease(now_ns):
             return f"no order from {self._arbiter.holder} for {LEASE_NS * 1e-9:.0f} s, the lease has expired"
-        if legs.waits:
-            return legs.waits
+        if legs.waiting_reason:
+            return legs.waiting_reason
         if self._late:
             return f"no new plan received for {DEADLINE_NS * 1e-9:.2f} s, the feet are set down first"
         return ""

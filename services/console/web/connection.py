@@ -145,9 +145,7 @@ class Connection(asyncio.Protocol):
 
     def _handle_request(self, request: HttpRequest) -> None:
         """Answer the request: with a file, or by opening the page's WebSocket."""
-        if (
-            self._protocol.parser_exc is not None
-        ):  # the bytes after the request are not WebSocket frames, so no answer is possible
+        if self._protocol.parser_exc is not None:  # bytes after the request are not WebSocket frames: no answer is possible
             self.abort()
             return
         response = self._answer(request)

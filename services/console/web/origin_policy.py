@@ -12,9 +12,9 @@ from sextant.services.console.config import Settings
 from sextant.services.console.web import view
 
 PROTOCOL = f"sextant.{view.PROTOCOL}"
-MOST_PAGES = 32
-_SAID_EVERY_S = 1.0
-_LOCAL = ("127.0.0.1", "localhost", "[::1]")
+MAX_PAGES = 32  # maximum number of open pages
+_LOG_PERIOD_S = 1.0  # [s] minimum time between two log messages
+_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _TOKEN = "token."  # prefix of the token in the subprotocols of a page
 
 
@@ -31,7 +31,7 @@ class OriginPolicy:
         This refuses foreign names that resolve to this address (DNS rebinding). With a token any name is accepted.
         """
         name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
-        return bool(self._token) or name in (*_LOCAL, self._host)
+        return bool(self._token) or name in (*_LOOPBACK, self._host)
 
     def refusal(self, headers: Mapping[str, str], offered: Sequence[str], pages: int) -> str:
         """Return why a page may not connect, "" if it may.
@@ -52,8 +52,8 @@ class OriginPolicy:
             token = next((word.removeprefix(_TOKEN) for word in offered if word.startswith(_TOKEN)), "")
             if not hmac.compare_digest(token.encode(), self._token.encode()):
                 return "the token is wrong or missing; open the address with #TOKEN at its end"
-        if pages >= MOST_PAGES:
-            return f"{MOST_PAGES} pages are already open; close one"
+        if pages >= MAX_PAGES:
+            return f"{MAX_PAGES} pages are already open; close one"
         return ""
 
 
@@ -78,7 +78,7 @@ class RejectionLog:
             self._left_out += 1
             return ""
         more = f" (and {self._left_out} more since the last message)" if self._left_out else ""
-        self._next_s, self._left_out = now_s + _SAID_EVERY_S, 0
+        self._next_s, self._left_out = now_s + _LOG_PERIOD_S, 0
         return f"a page was refused: {refusal}{more}"
 
 

@@ -36,8 +36,8 @@ class PageFeed:
         self._state = self._glance = ""  # last state and last summary sent
         self._logged = 0  # number of event log entries sent
         self._map: TerrainMap | None = None  # newest map sent
-        self._map_due_ns = 0
-        self._pictured_ns = -1
+        self._map_due_ns = 0  # time from which the next map may be sent
+        self._pictured_ns = -1  # stamp of the newest picture sent
 
     def __len__(self) -> int:
         return len(self._watched) + len(self._glancing)

@@ -6,10 +6,10 @@ from functools import lru_cache
 from typing import Any, Literal, TypeAlias, get_args
 
 MAX_BYTES = 4096  # maximum size of a request
-_MAX_WAYPOINTS = 16
+_MAX_WAYPOINTS = 16  # maximum number of waypoints of a goal
 _MAX_COORDINATE_M = 100.0  # [m] maximum coordinate of a waypoint {world}
 _MAX_SPEED = 1.0  # [m/s] and [rad/s] maximum speed of a request; the planner applies the robot's own limits
-_MAX_PRESS = 1 << 53
+_MAX_PRESS = 1 << 53  # up to which JavaScript represents all integers
 
 Order: TypeAlias = Literal["off", "stop", "ready", "stand", "sit"]
 Layer: TypeAlias = Literal["score", "evaluation", "variance", "color"]
@@ -142,61 +142,61 @@ class _Fields:
         kind = self._take("type")
         match kind:
             case "drive":
-                turn, walk, touch = self._number("turn", _MAX_SPEED), self._walk(), self._truth("blind_walking")
-                made: Request = Drive(
-                    self._whole("press", _MAX_PRESS),
+                turn, walk, blind = self._number("turn", _MAX_SPEED), self._walk(), self._boolean("blind_walking")
+                request: Request = Drive(
+                    self._integer("press", _MAX_PRESS),
                     self._number("forward", _MAX_SPEED),
                     self._number("left", _MAX_SPEED),
                     turn,
                     walk,
-                    touch,
+                    blind,
                 )
             case "release":
-                made = Release()
+                request = Release()
             case "order":
-                made = Command(self._one_of("order", get_args(Order)))
+                request = Command(self._one_of("order", get_args(Order)))
             case "take over":
-                made = TakeOver()
+                request = TakeOver()
             case "go to":
-                made = GoTo(self._waypoints(), self._speed(), self._walk(), self._truth("passage"))
+                request = GoTo(self._waypoints(), self._speed(), self._walk(), self._boolean("passage"))
             case "give up":
-                made = CancelGoal()
+                request = CancelGoal()
             case "watch":
-                made = Watch(self._one_of("layer", get_args(Layer)), self._truth("picture"))
+                request = Watch(self._one_of("layer", get_args(Layer)), self._boolean("picture"))
             case "seen":
-                made = Seen(self._one_of("what", ("map", "picture")))
+                request = Seen(self._one_of("what", ("map", "picture")))
             case "here":
-                made = Heartbeat()
+                request = Heartbeat()
             case "record":
-                made = Record(self._truth("on"))
+                request = Record(self._boolean("on"))
             case "name":
-                made = Name(self._name())
+                request = Name(self._name())
             case _:
                 raise RequestError(f"unknown request type {str(kind)[:40]!r}")
         if self._fields:
             raise RequestError(f"{kind}: {', '.join(str(key)[:40] for key in list(self._fields)[:4])} not expected")
-        return made
+        return request
 
     def _take(self, key: str) -> Any:
         if key not in self._fields:
             raise RequestError(f"{key} is missing")
         return self._fields.pop(key)
 
-    def _number(self, key: str, most: float, least: float | None = None) -> float:
+    def _number(self, key: str, high: float, low: float | None = None) -> float:
         value = self._take(key)
-        low = -most if least is None else least
+        low = -high if low is None else low
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not low <= value <= most:  # also rejects NaN and infinity
-            raise RequestError(f"{key}: a number from {low:g} to {most:g} expected, found {str(value)[:40]}")
+        if not number or not low <= value <= high:  # also rejects NaN and infinity
+            raise RequestError(f"{key}: a number from {low:g} to {high:g} expected, found {str(value)[:40]}")
         return float(value)
 
-    def _whole(self, key: str, most: int) -> int:
+    def _integer(self, key: str, high: int) -> int:
         value = self._take(key)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
-            raise RequestError(f"{key}: a whole number from 0 to {most} expected, found {str(value)[:40]}")
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= high:
+            raise RequestError(f"{key}: a whole number from 0 to {high} expected, found {str(value)[:40]}")
         return value
 
-    def _truth(self, key: str) -> bool:
+    def _boolean(self, key: str) -> bool:
         value = self._take(key)
         if not isinstance(value, bool):
             raise RequestError(f"{key}: true or false expected, found {str(value)[:40]}")

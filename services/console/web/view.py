@@ -17,9 +17,9 @@ from sextant.shared.recording.event_log import Entry
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, PassagePlan, PlannerStatus, StepPlan
 
-PROTOCOL = 1
+PROTOCOL = 1  # version of these messages, which the page must share
 _SILENT_S = 3.0  # [s] age of a service's health after which the service counts as silent
-_WORDS, _STAGES = 500, 32  # maximum number of characters per text, and of stages per service
+_MAX_TEXT, _MAX_STAGES = 500, 32  # maximum number of characters per text, and of stages per service
 
 
 def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any]:
@@ -168,11 +168,11 @@ def silent(services: Mapping[str, tuple[Health, int]], now_ns: int) -> list[str]
         services: Service name -> newest health and its arrival time [ns].
         now_ns: Current time [ns].
     """
-    return sorted(name for name, (_, at_ns) in services.items() if _is_silent(at_ns, now_ns))
+    return sorted(name for name, (_, arrival_ns) in services.items() if _is_silent(arrival_ns, now_ns))
 
 
-def _is_silent(at_ns: int, now_ns: int) -> bool:
-    return now_ns - at_ns > _SILENT_S * 1e9
+def _is_silent(arrival_ns: int, now_ns: int) -> bool:
+    return now_ns - arrival_ns > _SILENT_S * 1e9
 
 
 def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: str = "") -> dict[str, Any]:
@@ -189,18 +189,18 @@ def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: st
         "services": [
             {
                 "name": name,
-                "status": word.status[:_WORDS],
-                "age_s": round((now_ns - at_ns) * 1e-9, 1),
-                "silent": _is_silent(at_ns, now_ns),
-                "refused": word.refused,
-                "dropped": word.dropped,
-                "robot_clock_offset_s": round(word.robot_clock_offset_s, 3),
+                "status": newest.status[:_MAX_TEXT],
+                "age_s": round((now_ns - arrival_ns) * 1e-9, 1),
+                "silent": _is_silent(arrival_ns, now_ns),
+                "refused": newest.refused,
+                "dropped": newest.dropped,
+                "robot_clock_offset_s": round(newest.robot_clock_offset_s, 3),
                 "stages": {
-                    stage[:_WORDS]: round(float(p99), 1)
-                    for stage, p99 in zip(word.stages[:_STAGES], word.stage_p99_ms[:_STAGES], strict=True)
+                    stage[:_MAX_TEXT]: round(float(p99), 1)
+                    for stage, p99 in zip(newest.stages[:_MAX_STAGES], newest.stage_p99_ms[:_MAX_STAGES], strict=True)
                 },
             }
-            for name, (word, at_ns) in sorted(services.items())
+            for name, (newest, arrival_ns) in sorted(services.items())
         ],
     }
 

@@ -8,8 +8,10 @@ from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
 from sextant.shared.geometry import Array, apply
 from sextant.shared.wire.messages import ActuatorState, BodyPose
 
-_COLOR_RANGE_M = 0.20  # [m] beyond the assumed ground, whose most common colour becomes that of the assumed ground
-_LEVEL_M = 0.01  # [m] largest deviation from a plane for ground that continues it
+_COLOR_RANGE_M = 0.20  # [m] length of the band beyond the assumed ground that is taken as the nearest seen ground
+_MAX_PLANE_DEVIATION_M = 0.01  # [m] largest deviation from a plane for ground that continues it
+_MIN_SEEN_SHARE = 0.3  # [1] minimum share of measured points ahead for this comparison
+_PERCENTILE = 95  # [%] of their deviations that is compared with it
 
 
 def assume_start_ground(
@@ -29,8 +31,8 @@ def assume_start_ground(
     plane = feet_plane(feet)
     # A mapper that restarts in mid-course does not know the ground ahead. It then assumes ground ahead only if the measured
     # ground continues the plane of the feet, and otherwise only under the robot.
-    known = legs.step == 0 or _goes_on(grid, settings, T, plane)
-    ahead = settings.assumed_ahead if known else float(legs.feet[:, 0].max())
+    assumes_ahead = legs.step == 0 or _continues_plane(grid, settings, T, plane)
+    ahead = settings.assumed_ahead if assumes_ahead else float(legs.feet[:, 0].max())
     corners: Array = np.array(
         [
             [ahead, settings.assumed_aside, 0.0],
@@ -68,12 +70,12 @@ def feet_plane(feet: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A, feet[:, 2], rcond=None)[0], dtype=np.float64)
 
 
-def _goes_on(grid: ElevationGrid, settings: Settings, T_world_body: Array, plane: Array) -> bool:
-    """Return whether the nearest ground ahead lies in a plane (a, bx, cy) [m] {world}."""
+def _continues_plane(grid: ElevationGrid, settings: Settings, T_world_body: Array, plane: Array) -> bool:
+    """Return whether the nearest ground ahead lies in a plane (a, b, c) {world}."""
     x, y = np.meshgrid(
         settings.assumed_ahead + np.linspace(-0.1, 0.1, 11), np.linspace(-1, 1, 21) * settings.assumed_aside, indexing="ij"
     )
     points = apply(T_world_body, np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]
     above = grid.heights(points) - np.column_stack([np.ones(len(points)), points]) @ plane
     seen = above[np.isfinite(above)]
-    return bool(len(seen) > 0.3 * len(points) and np.percentile(np.abs(seen), 95) < _LEVEL_M)
+    return bool(len(seen) > _MIN_SEEN_SHARE * len(points) and np.percentile(np.abs(seen), _PERCENTILE) < _MAX_PLANE_DEVIATION_M)

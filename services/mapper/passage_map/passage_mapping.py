@@ -29,8 +29,8 @@ from sextant.services.mapper.passage_map.voxel_cloud import Strip, VoxelCloud
 from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.profile import RobotProfile
 
-_MIN_RADIUS_M = 0.025  # [m] minimum radius of moving least squares ...
-_MIN_RADIUS_CELLS = 2.5  # [cells] ... and also its minimum
+_MIN_RADIUS_M = 0.025  # [m] minimum radius of moving least squares, absolute
+_MIN_RADIUS_CELLS = 2.5  # [cells] the same in cells; the larger one counts
 _SAME_VIEW_M, _SAME_VIEW_RAD = 0.01, 0.02  # [m] [rad] within which two views count as the same
 _MAX_VIEWS = 8  # maximum number of stored views
 _COPIED_WEIGHT = 8.0  # [pixels] weight of a height that is copied from the elevation map
@@ -40,7 +40,7 @@ _COPIED_WEIGHT = 8.0  # [pixels] weight of a height that is copied from the elev
 class ViewProposal:
     """Unseen cells of a strip, and the body pose that would show most of them."""
 
-    words: str  # description of the unseen cells and of the cause; empty if all are seen
+    reason: str  # description of the unseen cells and of the cause; empty if all are seen
     view: View | None  # None if no feasible pose shows enough cells
 
 
@@ -64,7 +64,7 @@ class PassageMapping:
         Args:
             profile: Profile of the robot with its camera and legs.
             strip: Strip with a whole number of cells of the elevation map's resolution.
-            known: Elevation map.
+            elevation_map: Elevation map from which the cloud is initialized.
             reach: [m] maximum horizontal distance of scan points from the camera.
             params: Parameters of the foothold layers.
 
@@ -73,7 +73,7 @@ class PassageMapping:
         """
         self._centres, self._resolution = cell_centres(strip, elevation_map.resolution), elevation_map.resolution
         self._profile, self._reach, self._params = profile, reach, params or FootholdLayersParams()
-        self._radius = max(_MIN_RADIUS_M, _MIN_RADIUS_CELLS * elevation_map.resolution)  # [m]
+        self._radius = max(_MIN_RADIUS_M, _MIN_RADIUS_CELLS * elevation_map.resolution)  # [m] of moving least squares
         self._cloud = VoxelCloud(strip, elevation_map.resolution, margin=2.0 * self._radius)
         self._layers = self._new_layers(elevation_map.resolution)
         self._view_poses: list[Array] = []  # (4, 4) optical poses, newest last

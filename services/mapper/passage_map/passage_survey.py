@@ -38,7 +38,7 @@ class PassageSurvey:
 
     @property
     def is_running(self) -> bool:
-        """Return whether a passage is mapped."""
+        """Whether a passage is being mapped."""
         return self._mapping is not None
 
     def end(self) -> None:
@@ -69,7 +69,7 @@ class PassageSurvey:
 
     @property
     def is_map_due(self) -> bool:
-        """Return whether to publish the map after this scan."""
+        """Whether to publish the map after this scan."""
         return self._scans % self._settings.passage_every == 0
 
     def passage_map(
@@ -111,7 +111,7 @@ class PassageSurvey:
             assumed=passage.assumed,
             evaluation=evaluation,
             unseen_share=float(unseen.mean()),
-            reason=proposal.words,
+            reason=proposal.reason,
             T_world_next_view=T_world_body if view is None else view.T_world_body,
             next_view_cells=np.zeros(unseen.shape, dtype=np.bool_) if view is None else view.sees,
         )

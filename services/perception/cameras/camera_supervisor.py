@@ -6,7 +6,7 @@ from sextant.services.perception.cameras.camera import Camera, CameraError, Fram
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 
 FIRST_RETRY_S, LAST_RETRY_S = 1.0, 16.0  # [s] shortest and longest interval between two attempts
-_FIRST_PICTURE_S = 4.0  # [s] allowed for a device to send its first image
+_FIRST_IMAGE_S = 4.0  # [s] allowed for a device to send its first image
 _SETTLE_S = 2.0  # [s] after opening in which bad images are only withheld, while exposure and projector settle
 _SILENT_S = 1.0  # [s] without an image after which a device is considered lost
 _BLIND_S = 20.0  # [s] without a useful image after which a seemingly working device is reopened
@@ -29,18 +29,18 @@ class CameraSupervisor:
         self.description = device
         self.ok = False
         self.trouble = f"{device} has sent no image yet"
-        self.openings = 0
-        self._opener, self._watch, self._clock = opener, watch, clock
+        self.openings = 0  # number of attempts to open the camera
+        self._opener, self._quality_check, self._clock = opener, watch, clock
         self._camera: Camera | None = None
         self._retry_s = FIRST_RETRY_S
         self._retry_ns = clock()  # time of the next attempt to open
-        self._opened_ns = 0
+        self._opened_ns = 0  # time of the last opening
         self._useful_ns = 0  # time of the last useful image, or of opening
         self._heard_ns = 0  # time of the last new image
-        self._patience_s = _FIRST_PICTURE_S
-        self._good_since_ns = -1
-        self._stamp_ns = -1
-        self._over = False
+        self._patience_s = _FIRST_IMAGE_S  # time without an image after which the device counts as lost
+        self._good_since_ns = -1  # start of the useful images, or -1 after a fault
+        self._newest_stamp_ns = -1  # stamp of the newest image
+        self._recording_ended = False
 
     def read(self, color: bool) -> Frame | None:
         """Return the newest useful image, or None; blocks only while a device opens."""
@@ -50,11 +50,11 @@ class CameraSupervisor:
         try:
             frame = self._camera.read(color)
         except CameraError as error:
-            self._over = isinstance(error, RecordingOverError)
+            self._recording_ended = isinstance(error, RecordingOverError)
             self._lose(str(error))
             return None
         now_ns = self._clock()
-        if frame is None or frame.stamp_ns <= self._stamp_ns:  # no image, or one out of order
+        if frame is None or frame.stamp_ns <= self._newest_stamp_ns:  # no image, or one out of order
             if now_ns - self._heard_ns > self._patience_s * 1e9:
                 silent_s = (now_ns - self._heard_ns) * 1e-9
                 self._fail(
@@ -63,8 +63,8 @@ class CameraSupervisor:
                 )
             return None
         self._heard_ns, self._patience_s = now_ns, _SILENT_S
-        self._stamp_ns = frame.stamp_ns
-        return self._judged(frame, now_ns)
+        self._newest_stamp_ns = frame.stamp_ns
+        return self._checked(frame, now_ns)
 
     def close(self) -> None:
         """Close the camera; safe to call twice."""
@@ -73,7 +73,7 @@ class CameraSupervisor:
             self._camera = None
 
     def _open(self) -> bool:
-        if self._over or self._clock() < self._retry_ns:
+        if self._recording_ended or self._clock() < self._retry_ns:
             return False
         self.openings += 1
         try:
@@ -83,24 +83,26 @@ class CameraSupervisor:
             return False
         self.description = self._camera.description
         self._opened_ns = self._useful_ns = self._heard_ns = self._clock()
-        self._patience_s = _FIRST_PICTURE_S
+        self._patience_s = _FIRST_IMAGE_S
         return True
 
-    def _judged(self, frame: Frame, now_ns: int) -> Frame | None:
+    def _checked(self, frame: Frame, now_ns: int) -> Frame | None:
         """Return the image if it is useful, else None.
 
         A device is reopened if it is faulty, or if it shows nothing for long.
         """
-        wrong = self._watch.look(frame.depth, frame.stamp_ns)
-        if wrong:
+        defect = self._quality_check.look(frame.depth, frame.stamp_ns)
+        if defect:
             remedy = (
-                "check that nothing covers it or is closer than its minimum range" if self._watch.sound else "plug it in again"
+                "check that nothing covers it or is closer than its minimum range"
+                if self._quality_check.sound
+                else "plug it in again"
             )
-            since_ns, patience_s = (self._useful_ns, _BLIND_S) if self._watch.sound else (self._opened_ns, _SETTLE_S)
+            since_ns, patience_s = (self._useful_ns, _BLIND_S) if self._quality_check.sound else (self._opened_ns, _SETTLE_S)
             if now_ns - since_ns > patience_s * 1e9:
-                self._fail(f"{self.description}: {wrong}", remedy)
+                self._fail(f"{self.description}: {defect}", remedy)
             else:
-                self._hold_back(f"{self.description}: {wrong}; {remedy}")
+                self._hold_back(f"{self.description}: {defect}; {remedy}")
             return None
         self.ok, self.trouble, self._useful_ns = True, "", now_ns
         if self._good_since_ns < 0:

@@ -8,8 +8,8 @@ from sextant.shared.robot.camera import DepthSensor
 EMPTY, POOR = 0.02, 0.25  # shares of measured pixels below which an image shows nothing, or almost nothing
 _STEADY = 0.1  # weight of the newest image in the mean measured share
 _SAMPLED = 8  # every n-th row and column is checked
-_NOISE_SAMPLED = 16  # the same for pairs of neighbours
-_NOISE_STEP = 10  # neighbours that differ by more than 1/10 of their depth are rare on real ground
+_NOISE_SAMPLED = 16  # the same for pairs of horizontally adjacent pixels
+_NOISE_STEP = 10  # neighbours count as different from 1/10 of their depth on, which is rare on real ground
 _NOISE_SHARE = 0.5  # share of such neighbours, above which an image is noise
 _PATIENCE_S = 2.0  # [s] for which a camera may see almost nothing, e.g. because of a near wall or a hand
 _FROZEN_S = 1.0  # [s] without a changed pixel, after which an image is frozen
@@ -43,7 +43,7 @@ class ImageQualityCheck:
             size: Expected height and width of the images.
         """
         self._sensor, self._size = sensor, size
-        self._sample: NDArray[np.uint16] | None = None
+        self._sample: NDArray[np.uint16] | None = None  # every `_SAMPLED`-th row and column of the last changed image
         self._since_ns = 0  # time since which the sample is unchanged
         self._share = 1.0  # mean measured share of an image
         self._poor_since_ns = -1  # time since which almost nothing is seen, or -1

@@ -21,8 +21,8 @@ def compute_free_rays(
     T_world_camera: Array,
     *,
     max_range: float = 1.5,
-    turn: int = 0,
-    believe_empty: bool = False,
+    image_number: int = 0,
+    count_empty: bool = False,
 ) -> Array:
     """Compute the ends of rays that are free beyond the range of the reduced scan.
 
@@ -37,22 +37,22 @@ def compute_free_rays(
         sensor: Range and raw unit of the camera.
         T_world_camera: (4, 4) pose of the camera.
         max_range: [m] horizontal distance from the camera at which both scans and these rays end.
-        turn: Number of the image, which selects the pixels.
-        believe_empty: Whether pixels without a return count.
+        image_number: Number of the image, which selects the pixels.
+        count_empty: Whether pixels without a return count.
 
     Returns:
         (m, 3) [m] {world}
     """
-    first = (_STRIDE * turn) % _APART
+    first = (_STRIDE * image_number) % _APART
     rows = np.arange(first, depth_raw.shape[0], _APART)
-    columns = np.arange((5 * first + turn) % _APART, depth_raw.shape[1], _APART)
+    columns = np.arange((5 * first + image_number) % _APART, depth_raw.shape[1], _APART)
     z = depth_raw[first::_APART, columns[0] :: _APART] / sensor.depth_scale
     x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
     ray = [R[0] * x + (R[1] * y + R[2])[:, None] for R in T_world_camera[:3, :3]]  # per unit depth, {world}
     flat = np.maximum(np.sqrt(ray[0] ** 2 + ray[1] ** 2), 1e-9)
     end = np.minimum(max_range / flat, sensor.max_range)  # depth
     free = (z >= sensor.min_range) & (z <= sensor.max_range) & (z > end)
-    if believe_empty:
+    if count_empty:
         free |= (z == 0) & _empty(depth_raw)[np.ix_(rows // _BLOCK, columns // _BLOCK)]
     found = np.column_stack([p + end[free] * along[free] for p, along in zip(T_world_camera[:3, 3], ray, strict=True)])
     return found[:: max(math.ceil(len(found) / _MOST), 1)]

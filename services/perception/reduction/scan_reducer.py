@@ -62,8 +62,8 @@ class ScanReducer:
             self._camera.sensor,
             found.T_world_camera,
             max_range=self._settings.scan_range,
-            turn=self._count,
+            image_number=self._count,
             # An image without any return may come from a covered camera.
-            believe_empty=found.ok and self._count % _EMPTY_EVERY == 0,
+            count_empty=found.ok and self._count % _EMPTY_EVERY == 0,
         )
         return to_millimetres(points, origin)

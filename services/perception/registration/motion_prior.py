@@ -8,13 +8,13 @@ import numpy as np
 from sextant.shared.geometry import Array, exp_so3, interpolate, log_so3, transform
 from sextant.shared.wire.messages import Odometry
 
-_MAX_MESSAGES = 100  # number of stored messages: those of two seconds
-_STILL = 1.5e-3  # [m] and [rad], three times the servo resolution's effect on a standing robot
+_MAX_MESSAGES = 100  # number of stored messages: two seconds at 50 Hz
+_MAX_STANDING_MOTION = 1.5e-3  # [m] and [1] change of a pose's elements: three times the effect of the servo resolution
 _MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] longest extrapolation; after that the body is assumed to stand still
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] a message may be late by this much; an older one comes from another clock
 # Limits of motion between two messages; both a walking and a falling body stay below them.
-_FASTEST, _FASTEST_TURN = 2.0, 6.0  # [m/s] and [rad/s]
-_JUMP, _JUMP_TURN = 0.1, 0.3  # [m] and [rad] added to the limits, for messages at short intervals
+_MAX_SPEED, _MAX_RATE = 2.0, 6.0  # [m/s] and [rad/s]
+_ALLOWED_JUMP, _ALLOWED_JUMP_ANGLE = 0.1, 0.3  # [m] and [rad] added to the limits, for messages at short intervals
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,9 @@ class OdometryHistory:
         if newest is None or newest.stamp_ns - self._messages[0].stamp_ns < for_s * 1e9:
             return False
         recent = [m.T_odom_body for m in self._messages if newest.stamp_ns - m.stamp_ns <= for_s * 1e9]
-        return max(float(np.abs(T - newest.T_odom_body).max()) for T in recent) < _STILL
+        return max(float(np.abs(T - newest.T_odom_body).max()) for T in recent) < _MAX_STANDING_MOTION
 
-    def at(self, stamp_ns: int) -> Motion | None:
+    def motion_at(self, stamp_ns: int) -> Motion | None:
         """Return the motion at an instant, or None if unknown.
 
         It is interpolated, or extrapolated for a short time beyond the newest message.
@@ -89,9 +89,9 @@ class OdometryHistory:
 def _jumps(before: Odometry, after: Odometry) -> bool:
     """Return whether two poses are farther apart than a body can move in that time."""
     since_s = (after.stamp_ns - before.stamp_ns) * 1e-9
-    way = float(np.linalg.norm(after.T_odom_body[:3, 3] - before.T_odom_body[:3, 3]))
+    distance = float(np.linalg.norm(after.T_odom_body[:3, 3] - before.T_odom_body[:3, 3]))
     turn = float(np.linalg.norm(log_so3(before.T_odom_body[:3, :3].T @ after.T_odom_body[:3, :3])))
-    return way > _JUMP + _FASTEST * since_s or turn > _JUMP_TURN + _FASTEST_TURN * since_s
+    return distance > _ALLOWED_JUMP + _MAX_SPEED * since_s or turn > _ALLOWED_JUMP_ANGLE + _MAX_RATE * since_s
 
 
 class VelocityPrior:
@@ -118,7 +118,7 @@ class VelocityPrior:
         self._decay_s = decay_s
         self._limits = np.array([max_speed, max_rate])
         self._velocity: Array = np.zeros(6)  # [m/s] and [rad/s] in world axes
-        self._last: tuple[int, Array, bool] | None = None  # stamp [ns], pose (4, 4) and whether it registered
+        self._last: tuple[int, Array, bool] | None = None  # stamp [ns], pose (4, 4) and whether the frame was registered
         self.measured = False  # whether two registered frames gave the velocity
 
     def update(self, stamp_ns: int, T_world_body: Array, registered: bool, unobservable: Array) -> None:
@@ -136,12 +136,12 @@ class VelocityPrior:
         since_s = (stamp_ns - last[0]) * 1e-9
         kept = float(np.exp(-since_s / self._decay_s)) * self._velocity
         T = last[1]
-        shown = np.concatenate([T_world_body[:3, 3] - T[:3, 3], log_so3(T_world_body[:3, :3] @ T[:3, :3].T)]) / since_s
-        possible = bool((np.linalg.norm(shown.reshape(2, 3), axis=1) <= self._limits).all())
+        measured = np.concatenate([T_world_body[:3, 3] - T[:3, 3], log_so3(T_world_body[:3, :3] @ T[:3, :3].T)]) / since_s
+        possible = bool((np.linalg.norm(measured.reshape(2, 3), axis=1) <= self._limits).all())
         self.measured = registered and last[2] and possible
         if self.measured:
             projector = np.linalg.pinv(unobservable) @ unobservable  # onto the unconstrained directions
-            self._velocity = shown + projector @ (kept - shown)
+            self._velocity = measured + projector @ (kept - measured)
         else:
             self._velocity = kept if possible else np.zeros(6)
 

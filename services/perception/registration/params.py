@@ -11,15 +11,15 @@ from sextant.shared.params import Params
 class AlignmentParams(Params):
     """Gauss-Newton alignment of a frame with keyframes and the motion prior."""
 
-    gate_near: float = ranged(0.02, 0.001, 0.5)  # [m] smallest limit of the point-to-plane distance of a match
-    gate_far: float = ranged(0.06, 0.001, 0.5)  # [m] largest limit, for distant starts
+    gate_near: float = ranged(0.02, 0.001, 0.5)  # [m] limit of the point-to-plane distance of a match after small steps
+    gate_far: float = ranged(0.06, 0.001, 0.5)  # [m] the same limit after large steps
     slip: float = ranged(0.01, 0.0, 0.5)  # [m] and [rad] added to the prior's spread for the first expected step
     max_iterations: int = ranged(10, 1, 200)  # maximum number of Gauss-Newton steps
     matched_points: int = ranged(3200, 100, 1_000_000)  # points of a full image that are matched with one keyframe
     converged: float = ranged(1e-4, 1e-8, 0.1)  # [m] and [rad] step that ends the iteration
     unknown_sigma: float = ranged(0.03, 0.0, 1.0)  # [m] and [rad] along the ground; a larger prior sigma tries nearby starts
-    less_overlap: float = ranged(0.1, 0.0, 1.0)  # [1] by which another start may overlap less
-    explained: float = ranged(0.85, 0.0, 1.0)  # [1] ratio of misfits below which another pose fits better
+    less_overlap: float = ranged(0.1, 0.0, 1.0)  # [1] smaller overlap that a better pose may have
+    explained: float = ranged(0.85, 0.0, 1.0)  # [1] ratio of misfits below which another pose is better
 
     checks = (config.together("gate_near gate_far", lambda near, far: near <= far, "at most gate_far"),)
 

@@ -54,7 +54,9 @@ class YieldedGround:
         soles = feet - [0.0, 0.0, self._foot_radius_m]
         on_gone = [any(np.hypot(*(sole - place)[:2]) < YIELDED_RADIUS_M for place in gone) for sole in soles]
         sunk = [
-            sole for sole, known in zip(soles, on_gone, strict=True) if not known and field.lowest_at(sole) - sole[2] > _SUNK
+            sole
+            for sole, known in zip(soles, on_gone, strict=True)
+            if not known and field.lowest_ground(sole) - sole[2] > _SUNK
         ]
         self.add([apply(field.T_world_strip, sole) for sole in sunk])
         for place in [*gone, *soles[on_gone], *sunk]:

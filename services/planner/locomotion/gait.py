@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.wire.messages import GaitName
 
-_EVEN = 0.005  # [m] difference between two tripods that counts as none; other gaits, with shorter steps, use less
-_SLOWEST = 0.1  # [1] share of the fastest foot's motion; slower feet count as this fast
+_EQUAL_LEAD_M = 0.005  # [m] difference between two leads of a tripod that counts as none; shorter steps use less
+_MIN_RELATIVE_MOTION = 0.1  # [1] share of the fastest foot's motion; slower feet count as this fast
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Gait:
 
     @property
     def slowness(self) -> float:
-        """Return the time for a distance at equal step length, relative to the tripod."""
+        """Return the time to walk a distance with equal steps, relative to the tripod."""
         return self.stances * self.pace
 
     @property
@@ -80,7 +80,7 @@ def swing_order(gait: Gait, along: Array, feet: Array, rest_feet: Array) -> list
 
     Source: Lotriet 2024, eq. (5.15) and (5.16).
     """
-    ahead, moved = ((feet - rest_feet)[:, :2] * along).sum(axis=1), np.maximum((along**2).sum(axis=1), _SLOWEST**2)
+    ahead, moved = ((feet - rest_feet)[:, :2] * along).sum(axis=1), np.maximum((along**2).sum(axis=1), _MIN_RELATIVE_MOTION**2)
     active = active_sextant(along.mean(axis=0), rest_feet)
     first = next(k for k, legs in enumerate(gait.groups) if active in legs)
     waiting = [gait.groups[(first + k) % len(gait.groups)] for k in range(len(gait.groups))]
@@ -88,13 +88,15 @@ def swing_order(gait: Gait, along: Array, feet: Array, rest_feet: Array) -> list
     while waiting:
         # Least squares relative to the fastest foot: near the centre of a turn a foot can hardly fall behind.
         lead = [float(ahead[list(legs)].sum() / moved[list(legs)].sum()) for legs in waiting]
-        due = next(k for k, value in enumerate(lead) if value < min(lead) + _EVEN / gait.stances)
+        due = next(k for k, value in enumerate(lead) if value < min(lead) + _EQUAL_LEAD_M / gait.stances)
         order.append(np.isin(np.arange(6), waiting.pop(due)))
     return order
 
 
 def directions(velocity: Array, yaw_rate: float, rest_feet: Array) -> Array:
-    """Return the motion of the body over each resting foot (6, 2) {body}, at most 1.
+    """Return the motion of the body over each resting foot (6, 2) {body}.
+
+    It is relative to the fastest foot, whose motion has length one.
 
     Args:
         velocity: (2,) [m/s] {body} of the body.

@@ -27,7 +27,7 @@ class StallDetector:
     no_progress_s: float = 0.0  # [s] without progress
     changed: bool = False  # whether path or place to look at has changed since the last progress
     resets: int = 0  # number of resets
-    now_ns: int | None = None
+    now_ns: int | None = None  # time of the last update, None after a pause
 
     def update(self, now_ns: int, place: Array, left: float, error: float, speed: float) -> str:
         """Return why the robot makes no progress, as text, or "".

@@ -69,8 +69,8 @@ class StripMap:
             h = out
         return np.ascontiguousarray(h)
 
-    def lowest_at(self, place: Array) -> float:
-        """Return the lowest known ground [m] around a place (2+,) [m] {strip}, or NaN.
+    def lowest_ground(self, place: Array) -> float:
+        """Return the lowest known ground [m] around a place (2,) or (3,) [m] {strip}, or NaN.
 
         The 3x3 cells around the place count.
         """

@@ -74,6 +74,6 @@ class HeightField:
         u, v = u - i, v - j
         z = self.heights
         near, far = z[i, j], z[i + 1, j + 1]
-        along_x = near + u * (z[i + 1, j] - near) + v * (far - z[i + 1, j])
-        along_y = near + v * (z[i, j + 1] - near) + u * (far - z[i, j + 1])
-        return np.where(inside, np.where(u >= v, along_x, along_y), -np.inf)
+        lower = near + u * (z[i + 1, j] - near) + v * (far - z[i + 1, j])
+        upper = near + v * (z[i, j + 1] - near) + u * (far - z[i, j + 1])
+        return np.where(inside, np.where(u >= v, lower, upper), -np.inf)

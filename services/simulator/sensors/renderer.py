@@ -34,15 +34,16 @@ class Renderer:
         look, boxes = terrain.look, terrain.boxes
         materials = np.full(len(boxes), BOX)
         if look is not None:
-            own, number = np.unique(look.boxes, axis=0, return_inverse=True)
-            materials = np.where(np.isfinite(look.boxes).all(axis=1), len(_COLOURS) + number.ravel(), BOX)
-            self.colours = np.concatenate([self.colours, own])
+            colours, index = np.unique(look.boxes, axis=0, return_inverse=True)
+            materials = np.where(np.isfinite(look.boxes).all(axis=1), len(_COLOURS) + index.ravel(), BOX)
+            self.colours = np.concatenate([self.colours, colours])
             for material, colour in ((PLANE, look.plane), (FIELD, look.height_field)):
                 if colour is not None and np.isfinite(colour).all():
                     self.colours[material] = colour
         faces, materials = _box_faces(boxes), np.repeat(materials, 6)
         field = terrain.height_field
-        self._heights, self._grid = np.zeros((0, 0)), np.zeros(3)
+        self._heights = np.zeros((0, 0))  # (nx, ny) [m] {world} of the height field
+        self._grid = np.zeros(3)  # [m] its origin x, y and its resolution
         if field is not None:
             skirt = _skirt(field)
             faces, materials = np.concatenate([faces, skirt]), np.append(materials, np.full(len(skirt), FIELD))
@@ -51,7 +52,7 @@ class Renderer:
         self._blocks = field_blocks(self._heights, self._grid)
         self._faces, self._materials = faces, materials.astype(np.uint16)
         self._weak = (6 * terrain.weak.box[:, None] + np.arange(6)).ravel()  # indices of the faces of weak boxes
-        self._unsunk = faces[self._weak]
+        self._unsunk = faces[self._weak]  # (n, 4, 3) [m] {world} these faces before they sink
         self._plane = np.nan if terrain.plane is None else terrain.plane
         lens = float(intrinsics.fx), float(intrinsics.fy), float(intrinsics.cx), float(intrinsics.cy)
         self._canvas = new_canvas(intrinsics.width, intrinsics.height, lens, surfaces=False)
@@ -135,8 +136,8 @@ def _skirt(field: HeightField) -> Array:
     )
     for rim_x, rim_y, rim_z in rims:
         top = np.stack([rim_x, rim_y, rim_z], axis=1)
-        foot = np.stack([rim_x, rim_y, np.full_like(rim_z, low)], axis=1)
-        walls.append(np.stack([foot[:-1], foot[1:], top[1:], top[:-1]], axis=1))
+        bottom = np.stack([rim_x, rim_y, np.full_like(rim_z, low)], axis=1)
+        walls.append(np.stack([bottom[:-1], bottom[1:], top[1:], top[:-1]], axis=1))
     size = np.array([x[-1] - x[0], y[-1] - y[0], DEPTH])
     middle = np.array([(x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2, low - DEPTH / 2])
     return np.concatenate([*walls, _box_faces(Boxes(middle[None], size[None] / 2, np.eye(3)[None]))])

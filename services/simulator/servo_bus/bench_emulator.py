@@ -1,8 +1,8 @@
 """Emulated workbench with single servos or a whole robot on a stand.
 
-Single servos are new and are plugged in one by one. It has the same bus and servos as the simulator, but no physics: a joint
-follows its motor, and with torque off it stays where the operator has bent it. The time is that of the host's transfers; there
-is neither a thread nor another clock.
+Single servos are new and are plugged in one by one. The workbench has the same bus and servos as the simulator, but no physics:
+a joint follows its motor, and with torque off it stays where the operator has bent it. Time advances with the host's transfers;
+there is neither a thread nor another clock.
 """
 
 import re
@@ -20,9 +20,10 @@ from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
 from sextant.shared.servo import dynamixel as dxl
 
 HORNS_DEG = 6.0  # [deg] maximum mounting error of the servo horns
-_BENT_DEG = 150.0  # [deg] maximum angle of a bent joint, the measuring range of a servo
+_MAX_BEND_DEG = 150.0  # [deg] maximum angle of a bent joint, the measuring range of a servo
 _STEP_NS = 4_000_000  # [ns] time step of the joints
-_PATIENCE_NS = 2_000_000_000  # [ns] maximum time to simulate after a pause, in which all joints come to rest
+_MAX_CATCH_UP_NS = 2_000_000_000  # [ns] maximum time to simulate after a pause, in which all joints come to rest
+_MAX_RATE_ERROR = 0.03  # [1] relative difference of two baud rates up to which bytes are received correctly
 _RAM = dxl.TORQUE_ENABLE.address  # start of the registers that are lost without power
 HELP = "plug [N], unplug [ID], bend LEG COXA FEMUR TIBIA (degrees), list, quit"
 
@@ -61,7 +62,7 @@ class BenchEmulator(ServoBusEmulator):
             self._servos.tables[:, dxl.BAUD_RATE.address] = dxl.BAUD_RATE.default
         self._plugged = set() if fresh else set(range(len(ids)))
         self._rate = rate
-        self._now_ns = -1  # time of the joints
+        self._now_ns = -1  # [ns] bus time up to which the joints have moved
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiles the code before the first packet ...
         self._servos.read(0, dxl.PRESENT_POSITION.address, dxl.PRESENT_POSITION.size)  # ... whose response must be in time
@@ -125,8 +126,8 @@ class BenchEmulator(ServoBusEmulator):
             self.unplug(rows)
         elif bend and bend[1] in LEGS:
             pose = [float(angle) for angle in bend[2].split()]
-            if max(map(abs, pose)) > _BENT_DEG:
-                raise ValueError(f"angles of at most {_BENT_DEG:.0f} deg either way expected, found {line.strip()!r}")
+            if max(map(abs, pose)) > _MAX_BEND_DEG:
+                raise ValueError(f"angles of at most {_MAX_BEND_DEG:.0f} deg either way expected, found {line.strip()!r}")
             self.bend(LEGS.index(bend[1]), np.radians(pose))
             return f"the {bend[1]} leg is bent to {', '.join(bend[2].split())} deg ({', '.join(JOINTS)})"
         elif words != ["list"]:
@@ -139,15 +140,15 @@ class BenchEmulator(ServoBusEmulator):
 
     def _hears(self, row: int) -> bool:
         rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
-        return row in self._plugged and (self._rate is None or abs(rate - self._rate) <= 0.03 * self._rate)
+        return row in self._plugged and (self._rate is None or abs(rate - self._rate) <= _MAX_RATE_ERROR * self._rate)
 
     def _catch_up(self, now_ns: int) -> None:
-        self._now_ns = max(self._now_ns, now_ns - _PATIENCE_NS)
+        self._now_ns = max(self._now_ns, now_ns - _MAX_CATCH_UP_NS)
         while self._now_ns + _STEP_NS <= now_ns:
             self._now_ns += _STEP_NS
             self.advance(self._now_ns)
             command = self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)
-            pull = command.stiffness * (command.setpoint - self._q)
-            self._torque = np.clip(pull, -command.torque_limit, command.torque_limit)
+            spring_torque = command.stiffness * (command.setpoint - self._q)
+            self._torque = np.clip(spring_torque, -command.torque_limit, command.torque_limit)
             self._qd = self._torque / self.robot.servo.damping
             self._q = self._q + self._qd * (_STEP_NS * 1e-9)

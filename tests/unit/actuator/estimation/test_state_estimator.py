@@ -42,18 +42,18 @@ def test_a_hanging_foot_is_lifted_and_earlier_loads_do_not_count() -> None:
 
 def test_legs_without_torque_or_answer_are_assumed_to_stand() -> None:
     estimator = restarted()
-    estimator.touchdown.see(Q_REST, Q_REST)
+    estimator.touchdown.begin_cycle(Q_REST, Q_REST)
     silent = estimator.foot_contact(NONE, NONE, ALL, Q_REST, 0, SECOND)
     assert silent.bears.all(), "no servo has ever answered"
     assert not silent.heard.any()
     for leg in range(6):
-        estimator.touchdown.read(leg, FemurReading(0.0, 0.0, 0.0, SECOND, SECOND))
+        estimator.touchdown.add_reading(leg, FemurReading(0.0, 0.0, 0.0, SECOND, SECOND))
     assert estimator.foot_contact(NONE, FIRST, ALL, Q_REST, 0, SECOND).bears.tolist() == FIRST.tolist()
 
 
 def test_contacts_are_in_odom() -> None:
     estimator = restarted()
-    estimator.touchdown.see(Q_REST, Q_REST)
+    estimator.touchdown.begin_cycle(Q_REST, Q_REST)
     goals = Q_REST + 0.01
     contact = estimator.foot_contact(NONE, NONE, ~FIRST, goals, 0, SECOND)
     np.testing.assert_allclose(contact.feet, apply(estimator.odometry.T_odom_body, REST), atol=1e-9)

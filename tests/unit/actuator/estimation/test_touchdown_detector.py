@@ -64,8 +64,8 @@ def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: fl
         q[LEG, FEMUR] = seen
         q_goal = q.copy()
         q_goal[LEG, FEMUR] = before
-        feeler.see(q, q_goal)
-        feeler.read(LEG, FemurReading(seen, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD)))
+        feeler.begin_cycle(q, q_goal)
+        feeler.add_reading(LEG, FemurReading(seen, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD)))
         touches.append(bool(feeler.touches[LEG]))
         pushes.append(float(feeler.push[LEG]))
         held = link_torques(PROFILE, q)[LEG, FEMUR]
@@ -109,10 +109,10 @@ def test_push_at_full_torque_is_independent_of_reading_delay() -> None:
         feeler, ahead = TouchdownDetector(PROFILE), Q.copy()
         for cycle in range(3):
             ahead[LEG, FEMUR] = Q[LEG, FEMUR] - 0.5 - 0.06 * cycle
-            feeler.see(Q, ahead)
+            feeler.begin_cycle(Q, ahead)
             stamp_ns = cycle * PERIOD
             angle, full = float(Q[LEG, FEMUR]), -SERVO.stall_torque
-            feeler.read(LEG, FemurReading(angle, -3.5, full, stamp_ns, stamp_ns - round(since_ms * 1e6)))
+            feeler.add_reading(LEG, FemurReading(angle, -3.5, full, stamp_ns, stamp_ns - round(since_ms * 1e6)))
         pushes.append(float(feeler.push[LEG]))
     np.testing.assert_allclose(pushes, pushes[0])
 
@@ -132,10 +132,10 @@ def test_contact_threshold_scales_with_robot_weight() -> None:
     for profile, felt in ((PROFILE, True), (replace(PROFILE, body=body), False)):
         feeler = TouchdownDetector(profile)
         for _ in range(3):
-            feeler.see(Q, Q)  # constant goals
+            feeler.begin_cycle(Q, Q)  # constant goals
         held = link_torques(profile, Q)[LEG, FEMUR] - 3.0 * feeler._arm[LEG]
         for cycle in range(3):
-            feeler.read(LEG, femur(0.0, held, cycle * PERIOD))
+            feeler.add_reading(LEG, femur(0.0, held, cycle * PERIOD))
         assert feeler.push[LEG] == pytest.approx(3.0)
         assert feeler.touches[LEG] == felt
 
@@ -155,12 +155,12 @@ def test_load_shows_if_servo_was_read_before_its_new_goal(since_ms: float) -> No
         for cycle in range(4):
             told = Q.copy()
             told[LEG, FEMUR] = goal + cycle * step
-            feeler.see(Q, told)
+            feeler.begin_cycle(Q, told)
             late_ns = round(since_ms * 1e6) + (0 if heard else PERIOD)  # time since the goal that the servo pulls to
             angle = Q[LEG, FEMUR] + (cycle - (not heard)) * step + speed * (late_ns * 1e-9 - 0.008)
             pull = SERVO.stiffness * (goal + (cycle - (not heard)) * step - angle)
             stamp_ns = cycle * PERIOD + round(since_ms * 1e6)
-            feeler.read(LEG, FemurReading(angle, speed, pull, stamp_ns, cycle * PERIOD))
+            feeler.add_reading(LEG, FemurReading(angle, speed, pull, stamp_ns, cycle * PERIOD))
         found.append(float(feeler.push[LEG]))
     np.testing.assert_allclose(found, 0.0, atol=0.05)
 
@@ -184,8 +184,8 @@ def test_full_torque_at_high_speed_gives_no_contact() -> None:
     for speed, touches in ((-5.75, False), (0.0, True)):  # [rad/s]
         feeler = TouchdownDetector(robot)
         for k in range(4):
-            feeler.see(q, q)
-            feeler.read(LEG, femur(speed, -robot.servo.stall_torque, k * PERIOD))
+            feeler.begin_cycle(q, q)
+            feeler.add_reading(LEG, femur(speed, -robot.servo.stall_torque, k * PERIOD))
         assert feeler.touches[LEG] == touches
 
 
@@ -195,9 +195,9 @@ def test_push_at_rest_marks_foot_as_bearing_load() -> None:
     for newton, bears in ((0.0, False), (1.5, True)):
         arm = 0.1
         for cycle in range(3):
-            feeler.see(Q, Q)
+            feeler.begin_cycle(Q, Q)
             for leg in range(6):
-                feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
+                feeler.add_reading(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
         assert feeler.bears.all() == bears
         assert not feeler.touches.any()
         feeler.forget(np.ones(6, dtype=bool))
@@ -210,11 +210,11 @@ def test_push_at_rest_marks_foot_as_bearing_load() -> None:
 def test_single_strong_push_is_enough_for_contact(newton: float, bears: bool, touches: bool) -> None:
     feeler, held = TouchdownDetector(PROFILE), link_torques(PROFILE, Q)[LEG, FEMUR]
     for cycle in range(3):
-        feeler.see(Q, Q)
-        push = newton * feeler._heavier * (cycle == 2)
-        feeler.read(LEG, femur(0.0, held - push * feeler._arm[LEG], cycle * PERIOD))
+        feeler.begin_cycle(Q, Q)
+        push = newton * feeler._mass_ratio * (cycle == 2)
+        feeler.add_reading(LEG, femur(0.0, held - push * feeler._arm[LEG], cycle * PERIOD))
     assert (feeler.bears[LEG], feeler.touches[LEG]) == (bears, touches)
-    feeler.read(LEG, femur(0.0, held, 6 * PERIOD))
+    feeler.add_reading(LEG, femur(0.0, held, 6 * PERIOD))
     assert feeler.push[LEG] == 0.0
     assert not feeler.bears[LEG], "after a gap what was felt before it counts no more"
 
@@ -223,9 +223,9 @@ def test_foot_leans_after_one_reading_and_bears_after_two() -> None:
     feeler, arm = TouchdownDetector(PROFILE), 0.1
     held = link_torques(PROFILE, Q)
     for cycle, newton in enumerate((0.0, 0.0, 1.5, 1.5, 0.0)):
-        feeler.see(Q, Q)
+        feeler.begin_cycle(Q, Q)
         for leg in range(6):
-            feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
+            feeler.add_reading(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
         assert feeler.leans.all() == feeler.leans.any() == (newton > 0)
         assert feeler.bears.all() == feeler.bears.any() == (cycle == 3)
 
@@ -240,8 +240,8 @@ def test_load_within_compliance_margin_is_not_taken_for_missed_goal() -> None:
         feeler, goal = TouchdownDetector(PROFILE), Q.copy()
         for cycle in range(3):
             goal[LEG, FEMUR] = Q[LEG, FEMUR] + told * (cycle - 2)
-            feeler.see(Q, goal)
-            feeler.read(
+            feeler.begin_cycle(Q, goal)
+            feeler.add_reading(
                 LEG,
                 FemurReading(
                     float(Q[LEG, FEMUR]), -1.0, -told * SERVO.stiffness, cycle * PERIOD, cycle * PERIOD - PERIOD // 10
@@ -253,9 +253,9 @@ def test_load_within_compliance_margin_is_not_taken_for_missed_goal() -> None:
 
 def test_leg_is_silent_after_its_servo_stops_responding() -> None:
     feeler = TouchdownDetector(PROFILE)
-    feeler.see(Q, Q)
+    feeler.begin_cycle(Q, Q)
     assert feeler.silent(1_000_000_000).all()
-    feeler.read(LEG, femur(0.0, 0.0, 1_000_000_000))
+    feeler.add_reading(LEG, femur(0.0, 0.0, 1_000_000_000))
     np.testing.assert_array_equal(np.flatnonzero(~feeler.silent(1_250_000_000)), [LEG])
     assert feeler.silent(1_400_000_000).all()
 
@@ -273,12 +273,12 @@ def test_leg_inertia_matches_simulation_with_knee_at_90_deg(name: str) -> None:
 
 def test_leg_counts_as_responding_with_two_recent_readings() -> None:
     feeler = TouchdownDetector(PROFILE)
-    feeler.see(Q, Q)
+    feeler.begin_cycle(Q, Q)
     expected = []
     for cycle, asked_in_vain in enumerate((False, False, False, True, False, True, True, False, False)):
         now = cycle * PERIOD + PERIOD * 3 // 4
         if not asked_in_vain:
-            feeler.read(LEG, femur(0.0, 0.0, now))
+            feeler.add_reading(LEG, femur(0.0, 0.0, now))
         expected.append(bool(feeler.heard(now + 2_000_000)[LEG]))
         assert not np.delete(feeler.heard(now), LEG).any()
     # One missed reading does not count as silence, two do. After two, the first reading has no predecessor to compare with.
@@ -288,8 +288,8 @@ def test_leg_counts_as_responding_with_two_recent_readings() -> None:
 def test_readings_far_apart_give_no_push() -> None:
     feeler = TouchdownDetector(PROFILE)
     for cycle in range(5):
-        feeler.see(Q, Q)
-        feeler.read(LEG, femur(0.0, -1.5, cycle * 4 * PERIOD))
+        feeler.begin_cycle(Q, Q)
+        feeler.add_reading(LEG, femur(0.0, -1.5, cycle * 4 * PERIOD))
         assert feeler.push[LEG] == 0.0
 
 
@@ -302,7 +302,7 @@ def test_load_noise_at_short_lever_arm_gives_no_contact() -> None:
     near = body_inverse(PROFILE, PROFILE.rest_feet(0.13) + (PROFILE.links.coxa + 0.03 - PROFILE.foot_radii)[:, None] * OUT)
     held = link_torques(PROFILE, near)
     for cycle, noise in enumerate((0.0, 0.0, 0.14)):
-        feeler.see(near, near)
+        feeler.begin_cycle(near, near)
         for leg in range(6):
-            feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - noise, cycle * PERIOD))
+            feeler.add_reading(leg, femur(0.0, float(held[leg, FEMUR]) - noise, cycle * PERIOD))
         assert not feeler.touches.any()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.services.actuator.locomotion.body_trajectory import BodyTrajectory, coordinates, hermite, pose, wrapped
+from sextant.services.actuator.locomotion.body_trajectory import BodyTrajectory, hermite, pose, wrapped, xyz_rpy_from
 from sextant.shared.geometry import Array, from_xyz_rpy
 
 START = from_xyz_rpy((0.1, -0.2, 0.1), (0.02, -0.03, 0.4))
@@ -19,16 +19,16 @@ DURATION = 0.8
 def moved(body: BodyTrajectory, goal: Array, stop: bool = False, steps: int = 40) -> Array:
     """Move to a goal; return all places (n, 6) including the first."""
     body.begin(0.0, DURATION)
-    places = [body.place]
+    places = [body.xyz_rpy]
     for now_s in np.linspace(0.0, DURATION, steps + 1)[1:]:
         body.advance(float(now_s), body.goal(IDENTITY, goal), stop)
-        places.append(body.place)
+        places.append(body.xyz_rpy)
     return np.array(places)
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6))
 def test_coordinates_and_pose_are_inverse(place: list[float]) -> None:
-    np.testing.assert_allclose(coordinates(pose(np.array(place))), place, atol=1e-9)
+    np.testing.assert_allclose(xyz_rpy_from(pose(np.array(place))), place, atol=1e-9)
 
 
 @given(st.floats(-20.0, 20.0))
@@ -59,18 +59,18 @@ def test_body_rests_at_the_goal_of_a_stop() -> None:
     body = BodyTrajectory(START)
     places = moved(body, GOAL, stop=True)
     assert np.abs(places[-1] - places[-2]).max() < 1e-3
-    before = body.place
+    before = body.xyz_rpy
     body.brake(0.02, 0.1)
-    np.testing.assert_allclose(body.place, before, atol=1e-9)
+    np.testing.assert_allclose(body.xyz_rpy, before, atol=1e-9)
 
 
 def test_braking_without_a_goal_coasts_by_speed_times_time_constant() -> None:
     body = BodyTrajectory(START)
     moved(body, GOAL)
-    before, speed = body.place, (coordinates(GOAL) - coordinates(START)) / DURATION
+    before, speed = body.xyz_rpy, (xyz_rpy_from(GOAL) - xyz_rpy_from(START)) / DURATION
     for _ in range(1000):
         body.brake(0.001, 0.1)
-    np.testing.assert_allclose(body.place - before, 0.1 * speed, atol=0.01 * 0.1)
+    np.testing.assert_allclose(body.xyz_rpy - before, 0.1 * speed, atol=0.01 * 0.1)
 
 
 def test_yaw_goals_take_the_short_way() -> None:
@@ -100,7 +100,7 @@ def test_rest_poses_lead_from_the_earliest_rest_to_the_goal_and_not_beyond() -> 
     away = [float(np.linalg.norm(T[:3, 3] - GOAL[:3, 3])) for T in poses]
     assert away == sorted(away)
     assert 0.0 < away[0] < 0.01, "the earliest rest lies ahead by a third of the speed times the braking time"
-    near = list(body.rest_poses(body.place + 1e-4 * (coordinates(GOAL) - coordinates(START)), 0.2, 1.0))
+    near = list(body.rest_poses(body.xyz_rpy + 1e-4 * (xyz_rpy_from(GOAL) - xyz_rpy_from(START)), 0.2, 1.0))
     np.testing.assert_allclose(near[0], near[-1], atol=1e-12)
 
 
@@ -108,6 +108,6 @@ def test_a_paused_body_has_no_speed() -> None:
     body = BodyTrajectory(START)
     moved(body, GOAL)
     body.pause()
-    before = body.place
+    before = body.xyz_rpy
     body.brake(0.02, 0.1)
-    np.testing.assert_array_equal(body.place, before)
+    np.testing.assert_array_equal(body.xyz_rpy, before)

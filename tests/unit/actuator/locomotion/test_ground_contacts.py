@@ -51,7 +51,7 @@ def test_a_foot_stops_only_well_over_its_target() -> None:
     ground.stop_early(np.arange(6) < 2, FEET, met, met + 1.0)
     assert ground.stopped.tolist() == FIRST.tolist()
     assert ground.ground[0] == met[0, 2] + 1.0
-    np.testing.assert_allclose(ground.short, np.where(FIRST, 0.02, 0.0))
+    np.testing.assert_allclose(ground.stop_height, np.where(FIRST, 0.02, 0.0))
     assert [one.leg for one in ground.take_findings()] == [0]
 
 

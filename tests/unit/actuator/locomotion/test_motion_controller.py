@@ -98,10 +98,10 @@ def test_a_lowered_foot_moves_slowly_to_the_ground() -> None:
     legs = Legs(body_inverse(PROFILE, feet))
     legs.motion.take_over(slowly=True)
     legs.motion.lower(np.where(FIRST, 0.03, 0.0))
-    assert legs.motion.waits
+    assert legs.motion.waiting_reason
     assert max(legs.cycle().max() for _ in range(150)) <= LOWERED + 1e-9
     assert body_forward(PROFILE, legs.motion.goals.wanted)[0, 2] == pytest.approx(REST[0, 2], abs=1e-3)
-    assert not legs.motion.waits
+    assert not legs.motion.waiting_reason
 
 
 def test_a_leg_that_lost_torque_is_put_back_slowly_once_it_is_under_control() -> None:
@@ -117,11 +117,11 @@ def test_a_leg_that_lost_torque_is_put_back_slowly_once_it_is_under_control() ->
     speed = legs.cycle()[0]
     assert legs.motion.executor.gentle
     assert legs.motion.behind[:3].any()
-    assert legs.motion.waits
+    assert legs.motion.waiting_reason
     assert max(speed, *(legs.cycle()[0] for _ in range(200))) <= GENTLE + 1e-9
     assert legs.motion.executor.resting
     assert not legs.motion.behind.any()
-    assert not legs.motion.waits
+    assert not legs.motion.waiting_reason
 
 
 def test_unsure_legs_do_not_stand_unless_fewer_than_three_would_remain() -> None:

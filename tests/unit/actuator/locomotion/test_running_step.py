@@ -24,7 +24,7 @@ def test_a_step_ends_at_its_duration() -> None:
 
 def test_a_hurried_step_lands_sooner() -> None:
     slow, fast = step(), step()
-    fast.hurry = 1.5
+    fast.speedup = 1.5
     assert fast.air_s == pytest.approx(slow.air_s / 1.5)
     assert slow.air_s == pytest.approx(DURATION - SETTINGS.unload_s - SETTINGS.load_s)
     fast.advance(0.2)

@@ -554,7 +554,7 @@ def test_doubtful_stance_leg_is_tested_before_others_lift() -> None:
     """Check the rise on uneven ground, where only some of the feet carry load."""
     walker = new_walker()
     hangs = np.arange(6) == 1
-    walker.doubt(hangs)
+    walker.require_proof(hangs)
     walker.accept(plan_to(1, body_at(0.03)))
     for _ in range(60):
         walker.update(DT, walker.body_ref, FootContact(~ALL, ~hangs, walker.feet_odom))

@@ -26,7 +26,7 @@ def test_rays_end_at_scan_range_above_ground(world):
 def test_consecutive_images_use_different_pixels(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
-    turns = [sights(world, depth, T, max_range=0.9, turn=k) for k in range(16)]
+    turns = [sights(world, depth, T, max_range=0.9, image_number=k) for k in range(16)]
     every = np.round(np.concatenate(turns), 6)
     assert len(np.unique(every, axis=0)) == len(every)
 
@@ -41,11 +41,11 @@ def test_pixels_without_return_give_rays_only_below_empty_columns(world, above):
         depth[:16, w // 4 : w // 2] = 1000  # the pixels above do return a depth
     range_ = 1.4
     before = sights(world, depth, T, max_range=range_)
-    after = sights(world, depth, T, max_range=range_, believe_empty=True)
+    after = sights(world, depth, T, max_range=range_, count_empty=True)
     assert (len(after) > len(before) + 20) == above
     near = np.zeros_like(depth)
     near[: h // 2] = world.depth_image(T)[: h // 2]  # the ground at the feet is too near, which is not a drop
-    assert len(sights(world, near, T, max_range=range_, believe_empty=True)) == len(sights(world, near, T, max_range=range_))
+    assert len(sights(world, near, T, max_range=range_, count_empty=True)) == len(sights(world, near, T, max_range=range_))
 
 
 def test_ray_count_fits_message_at_any_image_size() -> None:

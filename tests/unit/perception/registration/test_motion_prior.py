@@ -32,19 +32,19 @@ def odometry_history(count: int = 50) -> OdometryHistory:
 
 
 def test_empty_history_has_no_motion() -> None:
-    assert OdometryHistory().at(0) is None
+    assert OdometryHistory().motion_at(0) is None
 
 
 def test_no_motion_before_first_message() -> None:
     history = OdometryHistory()
     history.add(message(5 * PERIOD))
-    assert history.at(4 * PERIOD) is None
-    assert history.at(5 * PERIOD) is not None
+    assert history.motion_at(4 * PERIOD) is None
+    assert history.motion_at(5 * PERIOD) is not None
 
 
 @given(st.integers(0, 49 * PERIOD))
 def test_motion_is_interpolated_between_messages(ns: int) -> None:
-    motion = odometry_history().at(ns)
+    motion = odometry_history().motion_at(ns)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(ns), atol=1e-5)
     assert motion.travelled == pytest.approx(0.1 * ns * 1e-9)
@@ -53,13 +53,13 @@ def test_motion_is_interpolated_between_messages(ns: int) -> None:
 
 @pytest.mark.parametrize("index", [0, 7, 49])
 def test_motion_at_message_stamp_equals_message(index: int) -> None:
-    motion = odometry_history().at(index * PERIOD)
+    motion = odometry_history().motion_at(index * PERIOD)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(index * PERIOD), atol=1e-12)
 
 
 def test_motion_is_extrapolated_shortly_after_newest_message() -> None:
-    motion = odometry_history().at(49 * PERIOD + 15 * MS)
+    motion = odometry_history().motion_at(49 * PERIOD + 15 * MS)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(49 * PERIOD + 15 * MS), atol=1e-4)
     assert motion.reliable
@@ -67,7 +67,7 @@ def test_motion_is_extrapolated_shortly_after_newest_message() -> None:
 
 def test_long_after_newest_message_motion_stops_and_is_unreliable() -> None:
     history = odometry_history()
-    far, farther = history.at(49 * PERIOD + 10_000 * MS), history.at(49 * PERIOD + 20_000 * MS)
+    far, farther = history.motion_at(49 * PERIOD + 10_000 * MS), history.motion_at(49 * PERIOD + 20_000 * MS)
     assert far is not None
     assert farther is not None
     np.testing.assert_array_equal(far.T_odom_body, farther.T_odom_body)
@@ -75,7 +75,7 @@ def test_long_after_newest_message_motion_stops_and_is_unreliable() -> None:
     assert not far.reliable
     alone = OdometryHistory()
     alone.add(message(0))
-    late = alone.at(10_000 * MS)
+    late = alone.motion_at(10_000 * MS)
     assert late is not None
     assert not late.reliable
 
@@ -84,7 +84,7 @@ def test_unreliable_adjacent_message_makes_motion_unreliable() -> None:
     history = OdometryHistory()
     for k in range(6):
         history.add(message(k * PERIOD, reliable=k != 3))
-    doubts = [not history.at(k * PERIOD // 2).reliable for k in range(11)]  # type: ignore[union-attr]
+    doubts = [not history.motion_at(k * PERIOD // 2).reliable for k in range(11)]  # type: ignore[union-attr]
     assert doubts == [False] * 4 + [True] * 4 + [False] * 3  # an instant at a message also depends on the next message
 
 
@@ -92,8 +92,8 @@ def test_odometry_restart_is_counted_and_clears_history() -> None:
     history = odometry_history()
     history.add(message(50 * PERIOD, travelled=0.0, T=np.eye(4)))
     assert history.restarts == 1
-    assert history.at(49 * PERIOD) is None
-    motion = history.at(50 * PERIOD)
+    assert history.motion_at(49 * PERIOD) is None
+    motion = history.motion_at(50 * PERIOD)
     assert motion is not None
     np.testing.assert_array_equal(motion.T_odom_body, np.eye(4))
 
@@ -104,7 +104,7 @@ def test_clock_jump_is_odometry_restart(away_ns: int) -> None:
     history.add(message(50 * PERIOD + away_ns, travelled=1.0))
     for k in range(51, 60):
         history.add(message(k * PERIOD, travelled=1.0 + 0.001 * k))
-    motion = history.at(59 * PERIOD)
+    motion = history.motion_at(59 * PERIOD)
     assert motion is not None
     assert motion.reliable
     np.testing.assert_allclose(motion.T_odom_body, pose_at(59 * PERIOD), atol=1e-9)
@@ -114,7 +114,7 @@ def test_clock_jump_is_odometry_restart(away_ns: int) -> None:
 def test_motion_within_long_silence_is_unreliable() -> None:
     history = odometry_history(10)
     history.add(message(9 * PERIOD + 2_000 * MS))
-    within, beyond = history.at(9 * PERIOD + 1_000 * MS), history.at(9 * PERIOD + 3_500 * MS)
+    within, beyond = history.motion_at(9 * PERIOD + 1_000 * MS), history.motion_at(9 * PERIOD + 3_500 * MS)
     assert within is not None
     assert beyond is not None
     assert not within.reliable
@@ -132,7 +132,7 @@ def test_out_of_order_message_is_ignored() -> None:
     history = odometry_history(10)
     history.add(message(5 * PERIOD, travelled=0.0, T=from_xyz_rpy((9, 9, 9), np.zeros(3))))
     assert history.restarts == 0
-    motion = history.at(5 * PERIOD)
+    motion = history.motion_at(5 * PERIOD)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(5 * PERIOD), atol=1e-12)
 
@@ -144,7 +144,7 @@ def test_impossible_pose_jump_is_odometry_restart(way: float, turn: float) -> No
     assert history.restarts == 1
     history.add(message(51 * PERIOD))  # back to the previous place
     assert history.restarts == 2
-    motion = history.at(51 * PERIOD)
+    motion = history.motion_at(51 * PERIOD)
     assert motion is not None
     np.testing.assert_allclose(motion.T_odom_body, pose_at(51 * PERIOD))
 
@@ -157,8 +157,8 @@ def test_pose_jump_after_silence_is_not_odometry_restart() -> None:
 
 def test_history_keeps_only_recent_messages() -> None:
     history = odometry_history(500)
-    assert history.at(0) is None
-    assert history.at(499 * PERIOD - 1_000 * MS) is not None
+    assert history.motion_at(0) is None
+    assert history.motion_at(499 * PERIOD - 1_000 * MS) is not None
 
 
 FRAME = 33 * MS
