@@ -1,6 +1,7 @@
 """Inputs are the same in every test run, and a busy machine causes no failure."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make workers give way."""
+    """Make workers give way; let programs under test receive the signals that a background job and `nohup` ignore."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: None)  # a program that is started has the default again
     if hasattr(config, "workerinput") and config.getoption("--give-way"):
         give_way_to(Path(config.getoption("--give-way")))
 
