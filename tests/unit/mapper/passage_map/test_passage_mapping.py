@@ -89,7 +89,7 @@ def test_proposed_views_reduce_unseen_cells_until_no_view_is_left() -> None:
     robot = Robot()
     grid = robot.look(robot.T)
     unseen = [np.count_nonzero(grid.unseen)]
-    assert "hidden behind" in robot.view_proposal(grid).words
+    assert "hidden behind" in robot.view_proposal(grid).reason
     for _ in range(6):
         view = robot.view_proposal(grid).view
         if view is None:
