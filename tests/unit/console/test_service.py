@@ -43,6 +43,7 @@ from tests.unit.console.web.test_frames import read, read_map, terrain
 
 PROFILE = load_profile("phantomx_mk2")
 PATIENCE_S = 20.0
+CLOSE_S = 0.1  # [s] timeout of a page that closes with unread messages
 MS = 1_000_000
 
 
@@ -73,7 +74,9 @@ class Rig:
     def page(self, query: str = "") -> "Browser":
         words: Any = [PROTOCOL]
         url = f"ws://127.0.0.1:{self.console.server.port}/socket{query}"
-        return Browser(self, self.pages.enter_context(connect(url, subprotocols=words, compression=None)))
+        return Browser(
+            self, self.pages.enter_context(connect(url, subprotocols=words, compression=None, close_timeout=CLOSE_S))
+        )
 
 
 class Browser:

@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks import cli as benchmarks
 from sextant.deploy import cli
+from sextant.shared.wire import transport
 
 SCENARIO = """name = "mine"
 [goal]
@@ -235,8 +236,14 @@ def test_mistakes_cover_every_command() -> None:
 
 @pytest.mark.parametrize(("program", "line", "message"), CASES, ids=lambda value: value[:60])
 def test_usage_error_prints_one_sentence_without_traceback(
-    program: str, line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]
+    program: str,
+    line: str,
+    message: str,
+    here: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(transport, "_CONNECT_MS", 500)
     status = MAINS[program](line.split())
     printed = capsys.readouterr()
     assert status in (1, 2)

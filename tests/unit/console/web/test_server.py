@@ -25,6 +25,7 @@ from tests.support.served import Serving
 
 PAGE = Path("services/console/page")
 PATIENCE_S = 20.0
+CLOSE_S = 0.1  # [s] timeout of a page that closes with unread messages
 WALK = {"height": 0.1, "lift": 0.04, "gait": "wave", "blind_walking": False}
 DRIVE = {"type": "drive", "press": 1, "forward": 0.1, "left": 0.0, "turn": 0.0, **WALK}
 
@@ -68,7 +69,9 @@ def get(server: Served, path: str, **headers: str) -> tuple[int, dict[str, str],
 
 def page(server: Served, protocols: tuple[str, ...] = (PROTOCOL,), **options: Any) -> ClientConnection:
     words: Any = list(protocols)
-    return connect(f"ws://127.0.0.1:{server.port}/socket", subprotocols=words, compression=None, **options)
+    return connect(
+        f"ws://127.0.0.1:{server.port}/socket", subprotocols=words, compression=None, close_timeout=CLOSE_S, **options
+    )
 
 
 def within(holds: Callable[[], object]) -> None:
