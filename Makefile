@@ -23,10 +23,9 @@ demo: $(VENV)/.installed-all
 
 # What is compiled is compiled once, for all. What is live has the machine when it wants it; the others take what is left until
 # it is done.
-test:
-	@$(MAKE) --no-print-directory --jobs=2 check compiled
+test: compiled
 	@touch $(VENV)/.live
-	@$(MAKE) --no-print-directory --jobs=2 --keep-going live others
+	@$(MAKE) --no-print-directory --jobs=3 --keep-going check live others
 
 # The site, from docs/; a warning is an error. It needs no network.
 docs: $(VENV)/.installed-dev
