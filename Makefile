@@ -1,7 +1,7 @@
 # Two commands for a newcomer: `make demo` and `make test`. Each sets up what it needs in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
-JOBS ?= 3
+JOBS ?= 2
 BIN := $(VENV)/bin
 LIVE := tests/live tests/test_commissioning.py tests/unit/benchmarks/test_bench_start.py
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
