@@ -14,7 +14,7 @@ from sextant.deploy.launch.peer_handshake import PeerHandshake
 from sextant.deploy.launch.process_table import Choices, Process, Role
 from sextant.deploy.security.router_security import Gate
 from sextant.evaluation.provenance import version
-from sextant.shared.wire.endpoint import occupied
+from sextant.shared.wire.endpoint import for_clients, occupied
 from sextant.shared.wire.ports import port_taken
 from sextant.shared.wire.transport import Endpoints, Router, TransportError, ZenohLink
 
@@ -78,7 +78,7 @@ class HostLauncher:
         """Return as text where the processes connect, and how clients join."""
         gated = self._gated
         chained = f", connected to {', '.join(gated.upstream)}" if gated.upstream else ""
-        joined = f"--connect {gated.listen[-1]} --namespace {gated.namespace}{' --keys DIR' if gated.keys else ''}"
+        joined = f"--connect {for_clients(gated.listen[-1])} --namespace {gated.namespace}{' --keys DIR' if gated.keys else ''}"
         return f"router on {', '.join(gated.listen)}{chained}; other programs connect with {joined}"
 
     @property

@@ -8,6 +8,7 @@ from typing import Any
 _CONNECT_S = 3.0
 _USUAL = "7447 for tcp, 7448 for tls"
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")  # of Zenoh; Sextant itself uses the first two
+_ALL_ADDRESSES = ("0.0.0.0", "::")  # of a listener
 _UNKNOWN = "check its name, or give its IP address"
 
 
@@ -25,6 +26,12 @@ def place(endpoint: str) -> tuple[str, int]:
         hint = f"; the port is missing: usually {_USUAL}" if missing else ""
         raise ValueError(f"PROTOCOL/HOST:PORT expected, e.g. tls/robot.local:7448, found {endpoint!r}{hint}")
     return host.strip("[]"), int(port)
+
+
+def for_clients(endpoint: str) -> str:
+    """Return the endpoint by which clients reach a listener: the name of this machine in place of all its addresses."""
+    host, port = place(endpoint)
+    return f"{endpoint.partition('/')[0]}/{socket.gethostname()}:{port}" if host in _ALL_ADDRESSES else endpoint
 
 
 def fault(endpoints: Iterable[str]) -> str:

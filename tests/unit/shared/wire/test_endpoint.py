@@ -8,7 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.shared.wire import endpoint
-from sextant.shared.wire.endpoint import cannot_connect, cannot_listen, fault, obstacle, occupied, place, unknown_host
+from sextant.shared.wire.endpoint import (
+    cannot_connect,
+    cannot_listen,
+    fault,
+    for_clients,
+    obstacle,
+    occupied,
+    place,
+    unknown_host,
+)
 
 AT = "tcp/robot.local:7447"
 
@@ -16,6 +25,12 @@ AT = "tcp/robot.local:7447"
 def test_endpoint_is_split_into_host_and_port() -> None:
     assert place("tls/robot.local:7448") == ("robot.local", 7448)
     assert place("tcp/[fe80::1]:7447?prio=1-3#so_sndbuf=1") == ("fe80::1", 7447)
+
+
+@pytest.mark.parametrize("listen", ["tls/0.0.0.0:7448", "tls/[::]:7448"])
+def test_clients_connect_to_the_name_of_a_machine_that_listens_at_all_addresses(listen: str) -> None:
+    assert for_clients(listen) == f"tls/{socket.gethostname()}:7448"
+    assert for_clients(AT) == AT
 
 
 @pytest.mark.parametrize(
