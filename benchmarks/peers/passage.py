@@ -217,7 +217,7 @@ def _section(
 def _edges(field: StripMap, crossing: SectionPlan) -> Iterator[float]:
     """Yield distances [m] of footholds in the gap to the nearest lower cell."""
     i, j = np.nonzero(field.elevation < -0.1)
-    low = np.column_stack([i, j]) * field.resolution + field.corner
+    low = np.column_stack([i, j]) * field.resolution + field.first_cell
     for step in crossing.steps:
         if step.leg >= 0 and NEAR < step.touchdown[0] < NEAR + GAP:
             off = np.maximum(np.abs(low - step.touchdown[:2]) - field.resolution / 2, 0.0)

@@ -94,7 +94,7 @@ class _Check:
     def _touchdown(self, feet: Array, step: PassageStep) -> Iterator[str]:
         """Check a touchdown: on known good ground, at its height, away from other feet."""
         name, field = LEGS[step.leg], self._field
-        i, j = np.rint((step.touchdown[:2] - field.corner) / field.resolution).astype(int).tolist()
+        i, j = np.rint((step.touchdown[:2] - field.first_cell) / field.resolution).astype(int).tolist()
         nx, ny = field.evaluation.shape
         if not (0 <= i < nx and 0 <= j < ny):
             yield f"{name} foot outside the strip"
@@ -233,7 +233,7 @@ class _Check:
 
         It is -inf where the ground is unknown, and outside the strip.
         """
-        h, (x0, y0), resolution = self._field.elevation, self._field.corner, self._field.resolution
+        h, (x0, y0), resolution = self._field.elevation, self._field.first_cell, self._field.resolution
         i, j = np.rint((x - x0) / resolution).astype(int), np.rint((y - y0) / resolution).astype(int)
         inside = (i >= 0) & (j >= 0) & (i < h.shape[0]) & (j < h.shape[1])
         found = h[np.where(inside, i, 0), np.where(inside, j, 0)].astype(np.float64)

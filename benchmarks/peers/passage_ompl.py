@@ -36,7 +36,7 @@ class BodyPlanner:
     def plan(self, field: StripMap, stance: Stance, goal_x: float) -> bool:
         """Return whether the body can get from a stance to x [m] along the strip."""
         i, j = np.nonzero(field.evaluation <= _STRONG)
-        places = np.column_stack([i, j]) * field.resolution + field.corner
+        places = np.column_stack([i, j]) * field.resolution + field.first_cell
         footholds = np.column_stack([places, field.elevation[i, j] + self._profile.foot.radius])
         space = self._base.RealVectorStateSpace(2)
         bounds = self._base.RealVectorBounds(2)

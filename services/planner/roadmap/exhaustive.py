@@ -103,7 +103,7 @@ def has_way(
     size = math.ceil(goal_x / rules.lattice - 1e-6) - int(start[0]) + 1, 2 * sides + 1
     if tile.max() >= _MAX_TILES or size[1] > _MAX_SIDES:
         return None
-    cells = np.floor((stance.feet[:, :2] - field.corner) / field.resolution + 0.5).astype(int)
+    cells = np.floor((stance.feet[:, :2] - field.first_cell) / field.resolution + 0.5).astype(int)
     standing = tile[cells[:, 0], cells[:, 1]]
     if (standing < 0).any():
         raise ValueError(f"every foot on a foothold expected, found {stance.feet[standing < 0]} off footholds")
@@ -160,9 +160,9 @@ def _tiles(
     # 1. Places of feet relative to the body, and the directions in which they are far enough out; then the same for tiles.
     carrying = field.elevation[tile >= 0]
     low, high = float(carrying.min()), float(carrying.max())
-    window = _window(profile, settings, np.array(field.corner), low - high)
+    window = _window(profile, settings, np.array(field.first_cell), low - high)
     out = np.zeros((6, count, *size, _WORDS), dtype=np.uint64)
-    first = np.floor(np.array(field.corner) / rules.lattice + 1e-9).astype(np.int64) - corner
+    first = np.floor(np.array(field.first_cell) / rules.lattice + 1e-9).astype(np.int64) - corner
     level = np.rint(np.where(tile >= 0, field.elevation - high, 0.0) / rules.lattice).astype(np.int64) + (window.shape[1] - 1)
     _combine_directions(window, tile, level, first, window.shape[2] // 2, out)
     # 2. The tiles within reach come first in each leg's list.

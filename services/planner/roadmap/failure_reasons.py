@@ -97,7 +97,7 @@ def _bare_before(foot: Array, stroke: float, field: StripMap) -> tuple[float, bo
 
     The foot is (3,) [m] {strip}. The stretch carries no foot and begins within a stroke.
     """
-    x0, y0 = field.corner
+    x0, y0 = field.first_cell
     half = round(_LINE_HALF_WIDTH_M / field.resolution)
     i, j = round((foot[0] - x0) / field.resolution) + 1, round((foot[1] - y0) / field.resolution)
     carries = np.asarray((field.evaluation[max(0, i) :, max(0, j - half) : max(0, j + half + 1)] < 0).any(axis=1))

@@ -247,7 +247,7 @@ class Roadmap:
         without a path onwards has no benefit.
         """
         assert self._field is not None
-        rows, x0, resolution = bare(self._field, self._settings.bare_ground), self._field.corner[0], self._field.resolution
+        rows, x0, resolution = bare(self._field, self._settings.bare_ground), self._field.first_cell[0], self._field.resolution
 
         def within(x: float) -> bool:
             row = min(max(round((x - x0) / resolution), 0), len(rows) - 1)

@@ -125,7 +125,7 @@ def ground_of(field: StripMap) -> Ground:
         meant,
         nearest,
         field.resolution,
-        *field.corner,
+        *field.first_cell,
     )
 
 

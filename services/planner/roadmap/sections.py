@@ -33,7 +33,7 @@ def goal_behind(field: StripMap, x: float, target: float, params: BareGroundPara
         if there is no bare stretch within the room to walk, or if the body is past the target.
     """
     rows = bare(field, params)
-    centres = field.corner[0] + field.resolution * np.arange(len(rows))
+    centres = field.first_cell[0] + field.resolution * np.arange(len(rows))
     ahead = np.flatnonzero(rows & (centres > x - _BEYOND) & (centres < target))
     if not len(ahead) or x >= target or centres[ahead[0]] > x + _ROOM:
         return None
@@ -50,7 +50,7 @@ def without(field: StripMap, sole: Array, radius: float) -> StripMap:
         radius: [m] of the disc; the ground is lowered in the inner part of the disc.
     """
     nx, ny = field.evaluation.shape
-    x0, y0 = field.corner
+    x0, y0 = field.first_cell
     x, y = x0 + field.resolution * np.arange(nx), y0 + field.resolution * np.arange(ny)
     off = np.hypot(x[:, None] - sole[0], y - sole[1])
     gone = (off <= radius) & (field.evaluation != UNKNOWN)
@@ -65,7 +65,7 @@ def bare(field: StripMap, params: BareGroundParams) -> NDArray[np.bool_]:
 
     Rows beyond the known ground and at the end of the strip do not count.
     """
-    y = field.corner[1] + field.resolution * np.arange(field.evaluation.shape[1])
+    y = field.first_cell[1] + field.resolution * np.arange(field.evaluation.shape[1])
     band = field.evaluation[:, np.abs(y) <= params.half_width_m]
     known = np.flatnonzero((band != UNKNOWN).mean(axis=1) > KNOWN_SHARE)
     rows = (band < 0).mean(axis=1) < params.carrying_share

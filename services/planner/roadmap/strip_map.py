@@ -49,7 +49,7 @@ class StripMap:
         return inverse(self.T_world_strip)
 
     @property
-    def corner(self) -> tuple[float, float]:
+    def first_cell(self) -> tuple[float, float]:
         """Return the centre of cell (0, 0) [m] {strip}."""
         return 0.5 * self.resolution, 0.5 * self.resolution * (1 - self.elevation.shape[1])
 
@@ -74,7 +74,7 @@ class StripMap:
 
         The 3x3 cells around the place count.
         """
-        i, j = np.rint((place[:2] - self.corner) / self.resolution).astype(np.int64)
+        i, j = np.rint((place[:2] - self.first_cell) / self.resolution).astype(np.int64)
         around = self.elevation[max(i - 1, 0) : max(i + 2, 0), max(j - 1, 0) : max(j + 2, 0)]
         known = around[np.isfinite(around)]
         return float(known.min()) if known.size else np.nan

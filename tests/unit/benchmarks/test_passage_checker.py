@@ -140,7 +140,7 @@ def test_ground_collision_is_detected_up_to_trunk_corner() -> None:
         field = bridge_field(1)
         elevation = field.elevation.copy()
         place = START_STANCE.body[:2] + np.array([length, width]) / 2 - inside
-        i, j = np.rint((place - field.corner) / field.resolution).astype(int)
+        i, j = np.rint((place - field.first_cell) / field.resolution).astype(int)
         elevation[i, j] = START_STANCE.body[2] - height / 2 - 0.01
         risen = replace(field, elevation=elevation)
         assert any("the trunk 0.010 m over" in words for words in violations(PROFILE, risen, START_STANCE, [stay]))

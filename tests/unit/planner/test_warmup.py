@@ -27,7 +27,7 @@ def compiled() -> int:
 
 def received_strip(field: StripMap) -> StripMap:
     """Return the same ground as the planner receives it, from a message."""
-    shape, origin = field.elevation.shape, np.array(field.corner)
+    shape, origin = field.elevation.shape, np.array(field.first_cell)
     nothing, none = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.bool_)
     normals = np.zeros((*shape, 3), dtype=np.int16)
     layers = (field.elevation, normals, nothing, none, field.evaluation)

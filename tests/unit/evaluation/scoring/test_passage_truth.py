@@ -46,7 +46,7 @@ def test_strip_elevation_matches_simulated_ground() -> None:
     course = course_of(FIELD, 0.01, 0.03)
     field = strip_from(course, -0.1, 0.105)
     i, j = np.random.default_rng(0).integers(0, field.elevation.shape, (200, 2)).T
-    xy = np.column_stack([i, j]) * field.resolution + field.corner + [-0.1, 0.0]
+    xy = np.column_stack([i, j]) * field.resolution + field.first_cell + [-0.1, 0.0]
     np.testing.assert_allclose(field.elevation[i, j], course.height_at(xy), atol=1e-6)
 
 

@@ -279,7 +279,7 @@ def test_foothold_that_did_not_carry_is_excluded_from_planning() -> None:
     robot.until(lambda: len(robot.sections.begun) == 2)
     field = robot.sections.begun[1][0]
     x, y, _ = apply(inverse(field.T_world_strip), gone)
-    i, j = round((x - field.corner[0]) / 0.01), round((y - field.corner[1]) / 0.01)
+    i, j = round((x - field.first_cell[0]) / 0.01), round((y - field.first_cell[1]) / 0.01)
     assert (field.evaluation[i - 3 : i + 4, j - 3 : j + 4] > 0).all()
     assert field.evaluation[i - 15, j] < 0
 
@@ -412,7 +412,7 @@ def test_sunk_ground_is_lowered_to_standing_foot() -> None:
     robot.feet[0, 2] -= 0.04
     robot.until(lambda: bool(robot.sections.begun))
     field, stance, _, _ = robot.sections.begun[0]
-    i, j = np.rint((stance.feet[0, :2] - field.corner) / field.resolution).astype(int)
+    i, j = np.rint((stance.feet[0, :2] - field.first_cell) / field.resolution).astype(int)
     around = field.elevation[i - 2 : i + 3, j - 2 : j + 3]
     np.testing.assert_allclose(around, stance.feet[0, 2] - PROFILE.foot.radius, atol=1e-6)
     assert (field.evaluation[i - 2 : i + 3, j - 2 : j + 3] >= 0).all()
@@ -429,7 +429,7 @@ def test_low_standing_foot_marks_sunk_ground(lower: float, gone: bool) -> None:
     robot.feet[0, 2] -= lower
     robot.until(lambda: bool(robot.sections.begun))
     field, stance, _, _ = robot.sections.begun[0]
-    i, j = np.rint((stance.feet[0, :2] - field.corner) / field.resolution).astype(int)
+    i, j = np.rint((stance.feet[0, :2] - field.first_cell) / field.resolution).astype(int)
     assert (field.evaluation[i, j] >= 0) == gone
     assert field.elevation[i, j] == pytest.approx(-lower if gone else 0.0, abs=1e-6)
     assert (field.evaluation[:100] >= 0).any() == gone, "ground under the other feet carries"

@@ -28,7 +28,7 @@ def ground(*places: Array) -> YieldedGround:
 
 
 def evaluation_at(field: StripMap, x: float, y: float = 0.0) -> int:
-    i, j = np.rint((np.array([x, y]) - field.corner) / field.resolution).astype(int)
+    i, j = np.rint((np.array([x, y]) - field.first_cell) / field.resolution).astype(int)
     return int(field.evaluation[i, j])
 
 

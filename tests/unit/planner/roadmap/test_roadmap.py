@@ -81,7 +81,7 @@ def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: 
         if isinstance(found, SectionPlan):
             break
     assert isinstance(found, SectionPlan)
-    x0, y0 = field.corner
+    x0, y0 = field.first_cell
     for step in found.steps:
         if step.leg >= 0:
             i, j = np.rint((step.touchdown[:2] - (x0, y0)) / field.resolution).astype(int)
@@ -263,7 +263,7 @@ def test_foot_steps_back_only_from_sunk_ground(roadmap: Roadmap, sunk: bool) -> 
     plain, stance = level(), stance_at(PROFILE, START, HEIGHT)
     feet = stance.feet.copy()
     feet[0, 0] += 0.05
-    i, j = np.rint((feet[0, :2] - plain.corner) / plain.resolution).astype(int)
+    i, j = np.rint((feet[0, :2] - plain.first_cell) / plain.resolution).astype(int)
     evaluation = plain.evaluation.copy()
     evaluation[i - 4 :, evaluation.shape[1] // 2 :] = 5  # no foothold to the side of the foot or ahead of it
     if not sunk:

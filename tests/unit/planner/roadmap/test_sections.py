@@ -98,7 +98,7 @@ def test_ground_that_gave_way_is_removed_and_other_cells_stay(x: float, y: float
     before = partly_unseen_pillars()
     after = without(before, np.array([x, y, z]), radius)
     i, j = np.indices(before.evaluation.shape)
-    x0, y0 = before.corner
+    x0, y0 = before.first_cell
     off = np.hypot(x0 + i * before.resolution - x, y0 + j * before.resolution - y)
     inside = off <= radius
     np.testing.assert_array_equal(after.evaluation[~inside], before.evaluation[~inside])
