@@ -21,7 +21,7 @@ _PLURALS = {"number": "numbers", "whole number": "whole numbers", "text": "texts
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What a page shows of a schema."""
+    """Format of a schema's page, and what it leaves out."""
 
     toml: bool  # a TOML file with defaults, else JSON
     leave_out: frozenset[str] = frozenset()  # fields of the top level that a file does not have
