@@ -12,7 +12,7 @@ from typing import Literal, Self, TypeAlias
 
 import numpy as np
 
-from sextant.deploy.live.send_command import LEASE_ENDS_NS, SETTLED, STOPS, refusal, router_refusal
+from sextant.deploy.live.send_command import LEASE_ENDS_NS, REFUSED_NS, SETTLED, STOPS, refusal, router_refusal
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.zenoh_runner import run_live
@@ -41,7 +41,6 @@ BLOCKED_S = 20.0  # [s] for which the planner may be blocked, or the robot silen
 _SILENT_S = 2.0  # [s] without a state, after which the actuator counts as silent
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the same command: the robot may restart
 _SETTLED_NS = 200_000_000  # [ns] after a command, before a state counts as its result
-_REFUSED_NS = 1_000_000_000  # [ns] after a command, before a refusal that was already reported counts as its result
 _WALKING = (Mode.WALK, Mode.HOLD)  # modes while a walk command is obeyed: the robot holds while the planner plans
 
 
@@ -222,8 +221,8 @@ class Client:
             ClientError: The robot refuses, finds no way for `BLOCKED_S`, stops walking, obeys another client, or does not
                 arrive in time.
         """
-        goal = np.array([[x_m, y_m]])
-        self._commander.move(Goal(0, goal, tolerance_m, speed_mps, body_height_m, lift_m))
+        place = np.array([x_m, y_m])
+        self._commander.move(Goal(0, place[None], tolerance_m, speed_mps, body_height_m, lift_m))
         given_ns = self._command("walk")
         blocked = _Blocked()
 
@@ -231,12 +230,7 @@ class Client:
             if failure := self._not_walking(status.actuator) or blocked.see(status.planner):
                 raise ClientError(failure)
             planner = status.planner
-            return (
-                planner is not None
-                and planner.state == "arrived"
-                and planner.stamp_ns > given_ns + _SETTLED_NS
-                and np.array_equal(planner.path, goal)  # not an earlier goal
-            )
+            return planner is not None and planner.stamp_ns > given_ns + _SETTLED_NS and planner.has_arrived_at(place)
 
         try:
             self._until(done, within_s, f"the goal is not reached within {within_s:g} s", silent_s=BLOCKED_S)
@@ -292,7 +286,7 @@ class Client:
             obeyed = state.lease == self._commander.name
             found = refusal(command, self._commander.name, state)
             known = before is not None and found in before.actuator.warnings
-            if found and (not known or state.stamp_ns > given_ns + _REFUSED_NS):
+            if found and (not known or state.stamp_ns > given_ns + REFUSED_NS):
                 held = leads and state.lease not in ("", self._commander.name)
                 raise ClientError(f"{found}; Client(..., take=True) takes it over" if held else found)
             if leads and not obeyed and self._commander.refused_by_router:

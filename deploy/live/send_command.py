@@ -14,7 +14,7 @@ _ON_THE_WAY = "each router on the way needs keys of a role that may send operato
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first message of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for the order to be executed
-_REFUSED_NS = 1_000_000_000  # [ns] after an order, before a refusal that was already reported counts as its result
+REFUSED_NS = 1_000_000_000  # [ns] after an order, before a refusal that was already reported counts as its result
 LEASE_ENDS_NS = 3_500_000_000  # [ns] within which the lease of a client that repeats no order has ended
 STOPS: tuple[What, ...] = ("off", "stop")  # any client may send these
 SETTLED: dict[What, tuple[Mode, ...]] = {  # modes in which an order is executed
@@ -129,7 +129,7 @@ class Order:
             return
         self.words = f"{state.mode}: {state.reason}"
         refused = refusal(self._what, self._holder, state)
-        if refused and (refused not in self._heard.warnings or 0 <= self._number < state.stamp_ns - _REFUSED_NS):
+        if refused and (refused not in self._heard.warnings or 0 <= self._number < state.stamp_ns - REFUSED_NS):
             led = self._what not in STOPS and state.lease not in ("", self._holder)
             self._end(f"{refused}; --take takes it over" if led else refused)
         elif self._done(state):

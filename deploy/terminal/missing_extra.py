@@ -1,6 +1,6 @@
 """Libraries that only an extra of the package brings, and what to do without one."""
 
-_ALL = "all"  # for what the commands that simulate need: they need most of the extras
+_ALL = "all"  # brings what a simulated robot needs, from several extras
 # Module -> name of its library, and the extra that brings it, the smallest where there are several.
 EXTRAS = {
     "cryptography": ("cryptography", "access"),

@@ -113,7 +113,8 @@ class Operator:
                 yield Goal(
                     self._robot(), self._route, _TOLERANCE, self._speed, walk.body_height, walk.lift, walk.gait, self._passage
                 )
-            if self._route is not None and status is not None and status.state == "arrived" and self._arrived_ns is None:
+            arrived = self._route is not None and status is not None and status.has_arrived_at(self._route[-1])
+            if arrived and self._arrived_ns is None:
                 self._arrived_ns = now
             self._watch_arrival(now, state, status)
         if not self.finished:

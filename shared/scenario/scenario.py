@@ -253,9 +253,8 @@ class HeightMap:
 
     file: str  # relative to the scenario file, absolute, or in the folder of an environment variable: "$FOLDER/map.npy"
     resolution: float | None = None  # [m] cell edge; required, but for .mcap
-    xy: tuple[float, float] | None = (
-        None  # [m] position of cell (0, 0) of the cropped and rotated map; required, but for .mcap; rows run along x
-    )
+    # [m] position of cell (0, 0) of the cropped and rotated map; required, but for .mcap; rows run along x
+    xy: tuple[float, float] | None = None
     layer: str = "elevation"  # layer of the grid map in a .mcap file
     topic: str = ""  # topic of the grid map in a .mcap file; needed if there are several
     kind: Literal["height_map"] = "height_map"

@@ -400,6 +400,10 @@ class PlannerStatus(Message):
         default_factory=lambda: _NO_PATH
     )  # [m] {world} corners of the path from the robot to the goal; the goal alone once arrived, empty without a path
 
+    def has_arrived_at(self, place: NDArray[np.float64]) -> bool:
+        """Return whether the robot has arrived at the goal with this last waypoint (2,) [m] {world}, not at another one."""
+        return self.state == "arrived" and np.array_equal(self.path, [place])
+
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand(Message):

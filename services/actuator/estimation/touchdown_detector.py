@@ -17,9 +17,7 @@ _MAX_READING_GAP_NS = 50_000_000  # [ns] maximum time between two readings from 
 _BALANCE_NS = 8_000_000  # [ns] time after goals are sent to which loads are converted, because the torque balance holds then
 _GOAL_PERIOD_NS = 20_000_000  # [ns] period at which goals are sent
 _TRANSMISSION_NS = 5_000_000  # [ns] time after goals are sent within which a servo may not have received them yet
-_MIN_TORQUE_CHANGE_NM = (
-    0.1  # [N m] minimum torque difference between two goals that a reading tells apart; ticks and compliance margin cause half
-)
+_MIN_TORQUE_CHANGE_NM = 0.1  # [N m] least torque difference of two goals that a reading tells apart; ticks cause half of it
 _LATE_NS = 30_000_000  # [ns] maximum age of a recent reading
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo after which the contact of its leg is unknown
 _NONE = np.zeros(6, dtype=np.bool_)

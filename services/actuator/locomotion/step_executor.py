@@ -282,7 +282,7 @@ class StepExecutor:
         self.trouble = "the step is reversed"
 
     def _come_to_rest(self, running: RunningStep, speedup: float, reaches: Callable[[Array], bool]) -> None:
-        """Finish the running step at `hurry` times its planned speed.
+        """Finish the running step at `speedup` times its planned speed.
 
         The body moves only as far as necessary. It stops when the feet are down, and does not wait until they are loaded.
         """

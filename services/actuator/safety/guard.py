@@ -84,7 +84,7 @@ class Guard:
         self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
         self.refused = ""  # why the newest plan was refused
         self._refused_at_ns = 0  # [ns] when that was
-        self._is_overtaken = False  # whether it only came after its step had ended
+        self._late_since_ns: int | None = None  # [ns] since when only revisions of ended steps have arrived
         self.refused_ns = -1  # [ns] stamp of the newest plan that was refused for its demands on the legs
         self.objection = ""  # why the newest order was not obeyed, for a few seconds
         self._objected_ns = 0  # [ns] when that was
@@ -234,8 +234,10 @@ class Guard:
         resting = not legs.planned
         self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, resting, legs.swing, legs.clearance)
         self._refused_at_ns = now_ns
-        self._is_overtaken = plan.step <= legs.step and bool(self.refused)
-        self._is_overtaken &= self.refused == out_of_order(plan, legs.step, resting)
+        if not (self.refused and plan.step <= legs.step and self.refused == out_of_order(plan, legs.step, resting)):
+            self._late_since_ns = None
+        elif self._late_since_ns is None:
+            self._late_since_ns = now_ns
         if self.refused:
             return False
         revises = plan.step == legs.step
@@ -252,10 +254,11 @@ class Guard:
     def plan_refusal(self, now_ns: int) -> str:
         """Return why the newest plan was refused, or an empty string.
 
-        It is empty for a revision that arrived after the end of its step, as happens in every walk, and once no plan has
-        arrived for `PLAN_REFUSAL_NS`.
+        It is empty for a revision that arrives after the end of its step, as happens in every walk, unless a planner sends
+        nothing else for `DEADLINE_NS`. It is also empty once no plan has arrived for `PLAN_REFUSAL_NS`.
         """
-        return "" if self._is_overtaken or now_ns - self._refused_at_ns > PLAN_REFUSAL_NS else self.refused
+        late = self._late_since_ns is not None and self._refused_at_ns - self._late_since_ns <= DEADLINE_NS
+        return "" if late or now_ns - self._refused_at_ns > PLAN_REFUSAL_NS else self.refused
 
     def _plan_refusal(self, now_ns: int, legs: Legs) -> str:
         """Return why no plan is accepted now, or an empty string."""

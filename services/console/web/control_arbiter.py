@@ -265,9 +265,11 @@ class ControlArbiter:
         elif state.mode in (Mode.OFF, Mode.READY, Mode.SIT):
             self._words.append(f"the goal is cancelled: {state.mode}: {state.reason}")
             self._active_goal = None
-        elif status is not None and status.state == "arrived" and status.stamp_ns > active.begun_ns:
-            if not np.array_equal(status.path, active.goal.waypoints[-1:]):
-                return  # at an earlier goal
+        elif (
+            status is not None
+            and status.stamp_ns > active.begun_ns
+            and status.has_arrived_at(np.array(active.goal.waypoints[-1]))
+        ):
             self._words.append(f"arrived: {status.reason}")
             self._end_goal(now_ns, "")
 

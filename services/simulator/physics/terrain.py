@@ -8,13 +8,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.simulator.physics.height_map import read_height_map
 from sextant.services.simulator.physics.solids import Boxes, HeightField
-from sextant.shared.files import array_file, picture_file
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, rotation_from_rpy, rotation_z
 from sextant.shared.scenario.scenario import (
@@ -43,9 +43,6 @@ from sextant.shared.scenario.scenario import (
 )
 from sextant.shared.scenario.scenario import Terrain as Primitive
 
-if TYPE_CHECKING:
-    from sextant.shared.recording.grid_map import GridMapLayer
-
 DEPTH = 0.5  # [m] extent of rubble and height fields below the ground
 _BATCH = 256  # number of rubble candidates per draw
 _FEW = 16  # number of candidates of a draw that are tested first
@@ -54,7 +51,6 @@ _RESTARTS = 20  # maximum number of attempts to place all blocks
 _PACKED = 0.75  # area share of blocks that random placement cannot reach
 _HOPELESS_RESTARTS, _HOPELESS_SHARE = 3, 0.7  # give up after this number of restarts without this share of the blocks
 _MAX_BOXES = 5000  # per terrain, because time and memory of physics and renderer grow with it
-_MAX_HEIGHT_M = 100.0  # maximum absolute height of measured ground
 Block = TypeVar("Block", Box, Hole)
 _FAR = 50.0  # [m] extent along +-x and +-y of level ground with puddles or holes, which is made of boxes
 
@@ -211,7 +207,7 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Rubble():
                 _rubble(heap, part, rng)
             case HeightMap():
-                fields.append((_height_field(part, Path(scenario.folder)), part.color))
+                fields.append((read_height_map(part, Path(scenario.folder)), part.color))
             case Puddle():
                 puddles.append(part)
             case Puddles():
@@ -588,61 +584,6 @@ def _closer_than(a: Array, b: Array, gap: float) -> Array:
         shadow = np.stack([np.abs(c) * length + np.abs(s) * width, np.abs(s) * length + np.abs(c) * width], axis=-1)
         apart |= np.any(np.abs(along) >= (one[..., 2:4] + shadow) / 2 + gap, axis=-1)
     return ~apart
-
-
-def _height_field(part: HeightMap, folder: Path) -> HeightField:
-    path = part.path(folder)
-    if not path.exists():
-        raise ValueError(f"height map {str(path)!r} expected, found no such file; name it relative to the scenario file")
-    stored, scale, resolution, xy = _stored(path, part)
-    with np.errstate(over="ignore"):  # infinite heights are rejected below
-        heights = _taken(stored, part) * scale + part.base
-    known = ~np.isnan(heights)
-    if not known.any():
-        raise ValueError(f"{path}: at least one known height expected, found none")
-    low, high = float(heights[known].min()), float(heights[known].max())
-    if not -_MAX_HEIGHT_M <= low <= high <= _MAX_HEIGHT_M:
-        limits = f"heights within {_MAX_HEIGHT_M:g} m of 0"
-        raise ValueError(f"{path}: {limits} expected, found {low:g} to {high:g} m; set scale and base")
-    return HeightField(np.where(known, heights, low), resolution, xy)
-
-
-def _stored(path: Path, part: HeightMap) -> tuple[Array, float, float, tuple[float, float]]:
-    """Return the heights of a file, their scale, and the map's resolution [m] and position [m]."""
-    scale = 1.0 if part.scale is None else part.scale
-    if part.is_grid_map:
-        grid = _grid_map(path, part)
-        x, y = grid.origin.tolist() if part.xy is None else part.xy
-        return grid.values.astype(np.float64), scale, part.resolution or grid.resolution, (x, y)
-    assert part.resolution is not None  # both are checked when the scenario is read
-    assert part.xy is not None
-    if path.suffix.lower() == ".npy":
-        return array_file.read_numbers(path), scale, part.resolution, part.xy
-    if path.suffix.lower() != ".png":
-        raise ValueError(f"a height map in .npy, .png or .mcap expected, found {part.file!r}")
-    if part.scale is None:
-        raise ValueError(f"{path}: scale expected (metres per grey value), e.g. scale = 0.001; found none")
-    grey = np.asarray(picture_file.read_grey(path, bits=(8, 16)), dtype=np.float64)
-    return grey, scale, part.resolution, part.xy
-
-
-def _grid_map(path: Path, part: HeightMap) -> "GridMapLayer":
-    try:
-        from sextant.shared.recording.grid_map import read_grid_map
-    except ImportError as error:
-        raise ValueError(f"{path}: a grid map needs {error.name}: pip install 'sextant[recording]'") from None
-    return read_grid_map(path, part.layer, part.topic)
-
-
-def _taken(heights: Array, part: HeightMap) -> Array:
-    """Return the cropped and rotated heights of a height map."""
-    if heights.ndim != 2:
-        raise ValueError(f"a grid of at least 2x2 heights expected, found {heights.shape} in {part.file!r}")
-    for name, wanted, there in (("rows", part.rows, heights.shape[0]), ("columns", part.columns, heights.shape[1])):
-        if wanted is not None and wanted[1] > there:
-            raise ValueError(f"{name} of at most {there} expected, found {wanted}; {part.file!r} has no more")
-    taken = heights[slice(*(part.rows or (None,))), slice(*(part.columns or (None,)))]
-    return np.asarray(np.rot90(taken, part.quarter_turns))
 
 
 def _box_top(xy: Array, centre: Array, half: Array, R: Array) -> Array:

@@ -94,6 +94,18 @@ def test_revision_that_its_step_has_overtaken_is_no_reported_refusal() -> None:
     assert "does not follow step" in robot.guard.plan_refusal(robot.now), "a planner that counts wrongly"
 
 
+def test_planner_that_sends_only_revisions_of_an_ended_step_is_reported() -> None:
+    robot = in_mode(Mode.WALK)
+    late = robot.renewal()
+    robot.cycle(ends=True)
+    begun = robot.now
+    while robot.now <= begun + DEADLINE_NS + CYCLE:
+        assert not robot.accept_plan(replace(late, stamp_ns=robot.now))
+        assert robot.guard.plan_refusal(robot.now) == "" or robot.now > begun + DEADLINE_NS
+        robot.cycle()
+    assert "does not follow step" in robot.guard.plan_refusal(robot.now)
+
+
 def test_refusal_of_a_plan_is_reported_while_plans_arrive() -> None:
     robot = in_mode(Mode.WALK)
     assert not robot.accept_plan(robot.renewal(duration=9.0))

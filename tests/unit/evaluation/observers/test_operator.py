@@ -26,6 +26,7 @@ class Robot:
         self.operator = Operator(load_profile(scenario.robot), scenario)
         self.goals = []
         self.arrived = self.waits = False
+        self.elsewhere_m = 0.0  # by which the goal at which it arrives is another one
         self.inbox = Inbox(self.operator.subscribes, self.operator.stages)
         self.now = 0
         self.T = from_xyz_rpy((0.0, y, 0.1), (0, 0, yaw))
@@ -59,7 +60,8 @@ class Robot:
             if self.mode is Mode.WALK and not self.deaf
             else "resting"
         )
-        self.hear(PlannerStatus(self.now, state, self.blocked or self.deaf, 0, 0, -1))
+        path = self.goals[-1].waypoints[-1:] if self.arrived and self.goals else np.zeros((0, 2))
+        self.hear(PlannerStatus(self.now, state, self.blocked or self.deaf, 0, 0, -1, path + self.elsewhere_m))
         for made in self.operator.step(Tick(self.now), self.inbox):
             if isinstance(made, ModeCommand):
                 self.orders.append((self.now, made))
@@ -268,7 +270,10 @@ def test_operator_publishes_route_goal_without_velocities():
     assert (goal.speed, goal.body_height, goal.lift) == (route.walk.speed, route.walk.body_height, route.walk.lift)
     assert np.diff([goal.stamp_ns for goal in robot.goals]).max() <= topics.GOAL.fresh_for_ns / 3
     assert not robot.operator.finished
-    robot.arrived = True
+    robot.arrived, robot.elsewhere_m = True, 0.1
+    robot.run(100)
+    assert not robot.operator.finished, "it has arrived at another goal"
+    robot.elsewhere_m = 0.0
     robot.run(100)
     assert robot.operator.finished
     assert "at the goal" in robot.operator.reason
