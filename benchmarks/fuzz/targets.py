@@ -216,12 +216,12 @@ class _Host:
 
     def closed(self, connection: Connection) -> None: ...
 
-    def left(self, page: Page) -> None: ...
+    def page_closed(self, page: Page) -> None: ...
 
     def pages_open(self) -> int:
         return 0
 
-    def arrived(self, connection: Connection, glances: bool) -> Page:
+    def page_opened(self, connection: Connection, glances: bool) -> Page:
         return Page(0)
 
     def receive_text(self, page: Page, text: str) -> None:

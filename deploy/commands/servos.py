@@ -301,13 +301,13 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
         of_robot = "" if robot == "phantomx_mk2" else f" --robot {robot}"
         command = f"sextant servos {'set-id' if fresh else 'scan'} --port {server.url}{of_robot}"
         say(f"servos on {server.url}; in another terminal: {command}")
-        say(f"{bench.obey('list')}; type {HELP}")
+        say(f"{bench.execute('list')}; type {HELP}")
         for line in sys.stdin:
             if line.strip() in ("quit", "q"):
                 return SUCCESS
             try:
                 with server.lock:
-                    told = bench.obey(line)
+                    told = bench.execute(line)
             except ValueError as error:
                 complain(str(error))
             else:

@@ -34,7 +34,7 @@ class Desk:
         self.port = MemoryPort(self.bench, lambda: now)
         self.rates.append(rate)
         if self.bench._rate is not None:
-            self.bench.tune(rate)
+            self.bench.set_baud_rate(rate)
         return self.port
 
     def bus(self) -> ServoBus:

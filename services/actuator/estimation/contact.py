@@ -15,6 +15,7 @@ _MIN_LEGS = 3  # minimum number of carrying feet that can support the body
 _MIDDLE = np.array([[0.0], [0.0], [1.0]])  # middle of the body, as a row x, y, 1
 _LEG_TRIPLES = np.array(list(combinations(range(6), 3)))  # (20, 3) all choices of three legs
 _OUTSIDE_SHARE = 0.05  # share of the body weight by which its middle may lie outside of three feet
+_DAMPING_M = 1e-5  # [m] added to the Jacobian's diagonal: far below all lever arms, keeps the matrix of a stretched leg regular
 _MIN_AREA_M2 = 1e-3  # [m^2] smallest triangle of feet that determines a plane
 
 
@@ -35,9 +36,9 @@ class ContactEstimate:
 
         `dt` [s] is the time since the last update; an infinite one discards all earlier updates.
         """
-        # The motors balance the ground force f with tau = -J^T f. Damping, because a stretched leg senses little force.
+        # The motors balance the ground force f with tau = -J^T f.
         Jt = np.swapaxes(leg_jacobian(q, self._profile.links), -1, -2)
-        force = -np.linalg.solve(Jt + 1e-5 * np.eye(3), torque[..., None])[:, 2, 0]
+        force = -np.linalg.solve(Jt + _DAMPING_M * np.eye(3), torque[..., None])[:, 2, 0]
         self._force += (1.0 - math.exp(-dt / self._params.smoothing_s)) * (force - self._force)
         self.legs = np.where(self.legs, self._force > self._params.lift_n, self._force > self._params.touch_n)
         return self.legs

@@ -166,12 +166,11 @@ class GravityAlignment:
         self._made_up += yaw
         return yaw
 
-    def heaves(self, T_odom_body: Array, feet: Array, coming: NDArray[np.bool_], now_ns: int) -> NDArray[np.bool_]:
+    def lifts_body(self, T_odom_body: Array, feet: Array, coming: NDArray[np.bool_], now_ns: int) -> NDArray[np.bool_]:
         """Flag the foot (6,) that lifts the body.
 
-        It comes down where the body rises unseen by the legs.
-
-        A foot whose servo did not detect the ground continues down, and the others lose contact.
+        A foot whose servo did not detect the ground is lowered further and lifts the body on its side. Leg odometry does not
+        show this tilt, the IMU does. The flagged foot is the farthest one on the rising side of those that come down.
 
         Args:
             T_odom_body: (4, 4) body pose by leg odometry.

@@ -32,8 +32,8 @@ class FootContact:
     bears: NDArray[np.bool_]  # (6,) feet that stand on something
     feet: Array  # (6, 3) [m] {odom} measured foot centres
     pushes: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) legs that push the ground; valid at low speed
-    heaves: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
-    leans: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading confirms it
+    lifts_body: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
+    may_bear: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading confirms it
     known: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) feet with known position
     heard: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) legs with recent readings
     goals: Array | None = None  # (6, 3) [m] {odom} foot centres by the servo goals; None: as planned
@@ -143,7 +143,7 @@ class TouchdownDetector:
         return self._above(self._params.bears_n, self._params.hard_bears_n)
 
     @property
-    def leans(self) -> NDArray[np.bool_]:
+    def may_bear(self) -> NDArray[np.bool_]:
         """(6,) feet that stand by their newest reading; the next one has to confirm."""
         return np.asarray(self._push[0] / self._mass_ratio > self._params.bears_n)
 

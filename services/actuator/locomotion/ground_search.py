@@ -24,7 +24,7 @@ class GroundSearch:
         """Return legs (6,) that have found ground; they no longer search."""
         # A foot below its femur's axis hardly turns the femur, so touchdown detection may miss that it stands.
         pushes = felt.pushes & (self.depth > _PUSHED_DOWN_M)
-        found = self.legs & (felt.touches | pushes | felt.heaves)
+        found = self.legs & (felt.touches | pushes | felt.lifts_body)
         self.legs &= ~found
         return np.asarray(found)
 

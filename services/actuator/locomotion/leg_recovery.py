@@ -13,9 +13,9 @@ class LegRecovery:
 
     def __init__(self) -> None:
         """Begin with all legs under control."""
-        self.hung: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) not recovered yet
+        self.unrecovered: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) not recovered yet
         self.dangling: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) those of them that were in the air
-        self._coming: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) in recovery
+        self._recovering: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) in recovery
         self._torque_lost: _Flags = np.zeros((6, 3), dtype=np.bool_)  # joints of hanging legs that have been without torque
         self._failed: _Flags = np.zeros((6, 3), dtype=np.bool_)  # (6, 3) joints for which their legs need recovery
         self._lost: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) legs that cannot be controlled now
@@ -31,23 +31,23 @@ class LegRecovery:
         Returns:
             (6,) hanging legs that can be controlled again. A leg that was silent while it stood keeps its foothold.
         """
-        self._lost = torque_disabled.any(axis=1) | (unsure.any(axis=1) & (flying | self.hung))
-        back = self.hung & ~self._lost
-        self.dangling = self.dangling | (self._lost & ~self.hung & flying)
-        self.hung = self.hung | self._lost
-        self._coming = self._coming & flying & ~self._lost
-        self._failed = (self._failed | unsure) & (self.hung | self._coming)[:, None]
-        self._torque_lost = (self._torque_lost | torque_disabled) & self.hung[:, None]
+        self._lost = torque_disabled.any(axis=1) | (unsure.any(axis=1) & (flying | self.unrecovered))
+        back = self.unrecovered & ~self._lost
+        self.dangling = self.dangling | (self._lost & ~self.unrecovered & flying)
+        self.unrecovered = self.unrecovered | self._lost
+        self._recovering = self._recovering & flying & ~self._lost
+        self._failed = (self._failed | unsure) & (self.unrecovered | self._recovering)[:, None]
+        self._torque_lost = (self._torque_lost | torque_disabled) & self.unrecovered[:, None]
         return back
 
-    def put_back(self) -> float:
+    def start(self) -> float:
         """Start recovery of controllable legs; return their speed limit [rad/s]."""
-        self._coming = self.hung & ~self._lost
-        top = GENTLE if self._torque_lost[self._coming].any() else FETCHED
-        self.hung, self.dangling = self._lost.copy(), self.dangling & self._lost
+        self._recovering = self.unrecovered & ~self._lost
+        top = GENTLE if self._torque_lost[self._recovering].any() else FETCHED
+        self.unrecovered, self.dangling = self._lost.copy(), self.dangling & self._lost
         return float(top)
 
     @property
     def waiting(self) -> _Flags:
         """(6, 3) joints with torque whose leg is in recovery or waits for it."""
-        return np.asarray(self._failed & ((self.hung & ~self._lost) | self._coming)[:, None])
+        return np.asarray(self._failed & ((self.unrecovered & ~self._lost) | self._recovering)[:, None])

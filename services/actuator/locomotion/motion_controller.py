@@ -120,7 +120,7 @@ class MotionController:
         back = self._recovery.update(torque_disabled, unsure, self.executor.flying)
         if back.any() and self.executor.resting:
             self.executor.put_back(back, feet_odom)
-            self._slow_legs, self._slow_rad_s = back, self._recovery.put_back()
+            self._slow_legs, self._slow_rad_s = back, self._recovery.start()
             self.goals.adopt(back, goals)  # these legs had no other target
         if self.executor.gentle:
             self._limit(self._slow_legs, self._slow_rad_s)
@@ -146,7 +146,7 @@ class MotionController:
             targets = self.executor.update(dt, T_odom_body, contact, self.goals.limits.pace)
         # A femur that moves down without its tibia would lift the body, so a hanging leg stays until it is recovered.
         recovery = self._recovery
-        holds = np.asarray(recovery.dangling | (recovery.hung & ~without_torque))
+        holds = np.asarray(recovery.dangling | (recovery.unrecovered & ~without_torque))
         return self.goals.follow(targets, goals, holds, dt), targets
 
     def resume_joint(self, index: int) -> None:
@@ -167,7 +167,7 @@ class MotionController:
 
         They have joints (6, 3) that are unsure, or they have not been recovered yet.
         """
-        return np.asarray(unsure.any(axis=1) | self._recovery.hung)
+        return np.asarray(unsure.any(axis=1) | self._recovery.unrecovered)
 
     def standing(self, unsure: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(6,) legs that stand.

@@ -27,7 +27,7 @@ class LiftOffWait:
             self.in_vain_s += dt
         else:
             self.waited_s += dt
-        lost = legs & ~felt.leans if self.waited_s <= _LONGER_S else legs
+        lost = legs & ~felt.may_bear if self.waited_s <= _LONGER_S else legs
         return self.waited_s > _WAIT_S and bool(lost.any())
 
 

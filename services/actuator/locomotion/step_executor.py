@@ -413,13 +413,13 @@ class StepExecutor:
 
     def _stop_on_contact(self, running: RunningStep, targets: Array, felt: FootContact) -> None:
         """Stop swing feet that have met ground well before their targets (6, 3) [m] {cmd}."""
-        met = running.plan.swing & ~self._contacts.stopped & (felt.touches | felt.heaves)
+        met = running.plan.swing & ~self._contacts.stopped & (felt.touches | felt.lifts_body)
         measured = self._body.to_cmd(felt.feet)
         if running.returns:
             highest = np.maximum(self._feet[:, 2], measured[:, 2])  # the foot lags
             met &= highest - targets[:, 2] < _RETURN_CONTACT_M
         self._contacts.stop_early(met, targets, measured, felt.feet)
-        self._contacts.proven &= ~felt.heaves  # the body may have tilted for another reason
+        self._contacts.proven &= ~felt.lifts_body  # the body may have tilted for another reason
 
     def _land(self) -> None:
         self._share[:] = 1.0
@@ -466,7 +466,7 @@ class StepExecutor:
         """
         found = search.update(felt)
         self._contacts.stay(found, self._body.to_cmd(felt.feet), felt.feet)
-        self._contacts.proven |= found & ~felt.heaves  # the body may have tilted for another reason
+        self._contacts.proven |= found & ~felt.lifts_body  # the body may have tilted for another reason
         if not search.legs.any():
             self._search = None
             self.trouble = f"ground found {search.depth * 1e3:.0f} mm lower than expected"

@@ -52,11 +52,11 @@ class PageHost(Protocol):
         """Return the number of open pages."""
         ...
 
-    def arrived(self, connection: "Connection", glances: bool) -> Page:
+    def page_opened(self, connection: "Connection", glances: bool) -> Page:
         """Register a new page; a page with `glances` receives only a summary."""
         ...
 
-    def left(self, page: Page) -> None:
+    def page_closed(self, page: Page) -> None:
         """Remove a page that has disconnected."""
         ...
 
@@ -106,7 +106,7 @@ class Connection(asyncio.Protocol):
         self._timer.cancel()
         self._host.closed(self)
         if self._page is not None:
-            self._host.left(self._page)
+            self._host.page_closed(self._page)
             self._page = None
 
     def pause_writing(self) -> None:
@@ -152,7 +152,7 @@ class Connection(asyncio.Protocol):
         self._protocol.send_response(response)
         self._timer.cancel()
         if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
-            self._page = self._host.arrived(self, request.path.partition("?")[2] == GLANCE)
+            self._page = self._host.page_opened(self, request.path.partition("?")[2] == GLANCE)
             self._timer = self._loop.call_later(_PING_S, self._ping)
         else:
             self._timer = self._loop.call_later(_FILE_TIMEOUT_S, self._transport.abort)

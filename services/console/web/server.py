@@ -147,7 +147,7 @@ class PageServer:
         """Return the number of open pages."""
         return len(self._connections)
 
-    def arrived(self, connection: Connection, glances: bool) -> Page:
+    def page_opened(self, connection: Connection, glances: bool) -> Page:
         """Register a new page; a page with `glances` receives only a summary."""
         self._count += 1
         page = Page(self._count)
@@ -155,7 +155,7 @@ class PageServer:
         self._add_event(page, "glances" if glances else "arrived")
         return page
 
-    def left(self, page: Page) -> None:
+    def page_closed(self, page: Page) -> None:
         """Remove a page that has disconnected."""
         del self._connections[page.number]
         self._add_event(page, "left")

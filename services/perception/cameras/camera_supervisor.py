@@ -91,7 +91,7 @@ class CameraSupervisor:
 
         A device is reopened if it is faulty, or if it shows nothing for long.
         """
-        defect = self._quality_check.look(frame.depth, frame.stamp_ns)
+        defect = self._quality_check.check(frame.depth, frame.stamp_ns)
         if defect:
             remedy = (
                 "check that nothing covers it or is closer than its minimum range"

@@ -49,7 +49,7 @@ class ImageQualityCheck:
         self._poor_since_ns = -1  # time since which almost nothing is seen, or -1
         self.sound = True  # whether the device works according to its newest image; it may see almost nothing and still work
 
-    def look(self, depth: NDArray[np.uint16], stamp_ns: int) -> str:
+    def check(self, depth: NDArray[np.uint16], stamp_ns: int) -> str:
         """Return the fault of the camera after a new raw image (h, w), or an empty string.
 
         A wall nearer than the minimum range and the open sky are not device faults. `sound` is True in these cases.

@@ -46,7 +46,7 @@ class BenchEmulator(ServoBusEmulator):
             profile: The robot that the servos belong to.
             rng: Generator of the horns' mounting errors and of the shaft angles of new servos.
             fresh: True for servos with factory settings, none plugged in; False for a configured robot with torque off.
-            rate: Baud rate of the host [bit/s], see `tune`; None reaches all servos, because a network port has no baud rate.
+            rate: Baud rate of the host [bit/s], see `set_baud_rate`; None, as of a network port, reaches all servos.
             echo: Whether the adapter echoes all sent bytes.
         """
         trims = rng.uniform(-HORNS_DEG, HORNS_DEG, (len(LEGS), 3)).round(1)
@@ -73,13 +73,13 @@ class BenchEmulator(ServoBusEmulator):
         self._catch_up(now_ns)
         return super().receive(data, now_ns)
 
-    def tune(self, rate: int | None) -> None:
+    def set_baud_rate(self, rate: int | None) -> None:
         """Set the baud rate [bit/s] of the host."""
         self._rate = rate
         self._find_listeners()
 
     @property
-    def boxed(self) -> list[int]:
+    def unplugged(self) -> list[int]:
         """Rows of the servos that are not plugged in."""
         return [row for row in range(len(self._servos)) if row not in self._plugged]
 
@@ -107,7 +107,7 @@ class BenchEmulator(ServoBusEmulator):
             self._q[self._with_id(int(servo_id))] = angle
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # updates the measured values
 
-    def obey(self, line: str) -> str:
+    def execute(self, line: str) -> str:
         """Execute a command that the operator typed, and return the new state as text.
 
         Raises:
@@ -116,7 +116,7 @@ class BenchEmulator(ServoBusEmulator):
         words = line.split()
         bend = re.fullmatch(r"bend (.+?)((?: +-?\d+(?:\.\d*)?){3})", line.strip())
         if words[:1] == ["plug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
-            self.plug(self.boxed[: int(words[1]) if len(words) == 2 else 1])
+            self.plug(self.unplugged[: int(words[1]) if len(words) == 2 else 1])
         elif words[:1] == ["unplug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
             rows = sorted(self._plugged)
             if len(words) == 2:  # one servo, also if several have the id
@@ -133,7 +133,7 @@ class BenchEmulator(ServoBusEmulator):
         elif words != ["list"]:
             raise ValueError(f"one of {HELP} expected, found {line.strip()!r}")
         ids = sorted(self._value(row, dxl.ID) for row in self._plugged)
-        return f"{len(ids)} servos are plugged in: {', '.join(map(str, ids)) or 'none'}; {len(self.boxed)} are not"
+        return f"{len(ids)} servos are plugged in: {', '.join(map(str, ids)) or 'none'}; {len(self.unplugged)} are not"
 
     def _with_id(self, servo_id: int) -> list[int]:
         return [row for row in range(len(self._servos)) if self._value(row, dxl.ID) == servo_id]

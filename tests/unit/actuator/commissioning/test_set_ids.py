@@ -35,7 +35,7 @@ def plug(desk: Desk, count: int = 1, answer: str = "") -> Callable[[], str]:
     """Return an action that plugs in the next `count` servos, then presses Enter."""
 
     def act() -> str:
-        desk.bench.plug(desk.bench.boxed[:count])
+        desk.bench.plug(desk.bench.unplugged[:count])
         return answer
 
     return act

@@ -122,11 +122,11 @@ def heaving_feet(R_level_body: Array, T_odom_body: Array) -> NDArray[np.bool_]:
     Before, the body's tilt is that of the legs' odometry.
     """
     plumb, now_ns = alignment_at_rest(T_odom_body[:3, :3])
-    nothing = plumb.heaves(T_odom_body, FEET, np.zeros(6, dtype=bool), now_ns)
+    nothing = plumb.lifts_body(T_odom_body, FEET, np.zeros(6, dtype=bool), now_ns)
     assert not nothing.any()
     sudden, later_ns = alignment_at_rest(R_level_body)
     plumb._attitude, plumb._heard_ns = sudden.attitude(later_ns), now_ns
-    return plumb.heaves(T_odom_body, FEET, COMING, now_ns)
+    return plumb.lifts_body(T_odom_body, FEET, COMING, now_ns)
 
 
 @WILD
@@ -248,11 +248,11 @@ def test_levelling_is_not_taken_for_heaving() -> None:
     """
     plumb, now_ns = alignment_at_rest(np.eye(3))
     T = from_xyz_rpy(np.zeros(3), (0.15, 0.1, 0.0))
-    plumb.heaves(T, FEET, np.zeros(6, dtype=bool), now_ns)
+    plumb.lifts_body(T, FEET, np.zeros(6, dtype=bool), now_ns)
     for _ in range(300):
         turn = plumb.turn(T, now_ns, 0.02, step=1)
         T = T if turn is None else turn @ T
-        assert not plumb.heaves(T, FEET, COMING, now_ns).any()
+        assert not plumb.lifts_body(T, FEET, COMING, now_ns).any()
     assert lean(T) < np.radians(3.0)
 
 

@@ -226,7 +226,7 @@ def test_foot_leans_after_one_reading_and_bears_after_two() -> None:
         feeler.begin_cycle(Q, Q)
         for leg in range(6):
             feeler.add_reading(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
-        assert feeler.leans.all() == feeler.leans.any() == (newton > 0)
+        assert feeler.may_bear.all() == feeler.may_bear.any() == (newton > 0)
         assert feeler.bears.all() == feeler.bears.any() == (cycle == 3)
 
 

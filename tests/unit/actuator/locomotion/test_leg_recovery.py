@@ -25,53 +25,53 @@ def joints(*which: int) -> NDArray[np.bool_]:
 
 
 def test_leg_without_torque_is_put_back_gently_after_torque_returns() -> None:
-    hung = LegRecovery()
-    assert not hung.update(joints(2), joints(2), NONE).any()
-    assert not hung.dangling.any(), "it stood"
-    assert not hung.update(FREE, joints(2), NONE).any(), "it is not yet where it was sent"
-    np.testing.assert_array_equal(hung.update(FREE, FREE, NONE), legs(2))
-    np.testing.assert_array_equal(hung.hung, legs(2))
-    np.testing.assert_array_equal(hung.waiting, joints(2))
-    assert hung.put_back() == GENTLE
-    assert not hung.hung.any()
-    assert not hung.update(FREE, FREE, legs(2)).any()
-    np.testing.assert_array_equal(hung.waiting, joints(2), "it is on its way")
-    hung.update(FREE, FREE, NONE)
-    assert not hung.waiting.any()
+    recovery = LegRecovery()
+    assert not recovery.update(joints(2), joints(2), NONE).any()
+    assert not recovery.dangling.any(), "it stood"
+    assert not recovery.update(FREE, joints(2), NONE).any(), "it is not yet where it was sent"
+    np.testing.assert_array_equal(recovery.update(FREE, FREE, NONE), legs(2))
+    np.testing.assert_array_equal(recovery.unrecovered, legs(2))
+    np.testing.assert_array_equal(recovery.waiting, joints(2))
+    assert recovery.start() == GENTLE
+    assert not recovery.unrecovered.any()
+    assert not recovery.update(FREE, FREE, legs(2)).any()
+    np.testing.assert_array_equal(recovery.waiting, joints(2), "it is on its way")
+    recovery.update(FREE, FREE, NONE)
+    assert not recovery.waiting.any()
 
 
 def test_silent_swing_leg_counts_as_hanging_and_returns_faster() -> None:
-    hung = LegRecovery()
-    assert not hung.update(FREE, joints(1, 4), legs(0, 2, 4)).any()
-    np.testing.assert_array_equal(hung.hung, legs(4))
-    np.testing.assert_array_equal(hung.dangling, legs(4))
-    hung.update(FREE, joints(1, 4), NONE)
-    np.testing.assert_array_equal(hung.dangling, legs(4))
-    np.testing.assert_array_equal(hung.update(FREE, joints(1), NONE), legs(4))
-    assert hung.put_back() == FETCHED
+    recovery = LegRecovery()
+    assert not recovery.update(FREE, joints(1, 4), legs(0, 2, 4)).any()
+    np.testing.assert_array_equal(recovery.unrecovered, legs(4))
+    np.testing.assert_array_equal(recovery.dangling, legs(4))
+    recovery.update(FREE, joints(1, 4), NONE)
+    np.testing.assert_array_equal(recovery.dangling, legs(4))
+    np.testing.assert_array_equal(recovery.update(FREE, joints(1), NONE), legs(4))
+    assert recovery.start() == FETCHED
 
 
 def test_leg_without_torque_waits_while_another_is_put_back() -> None:
-    hung = LegRecovery()
-    hung.update(joints(0, 3), joints(0, 3), legs(0, 2, 4))
-    np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
-    assert hung.put_back() == GENTLE
-    np.testing.assert_array_equal(hung.hung, legs(3))
-    assert not hung.dangling.any()
-    np.testing.assert_array_equal(hung.update(FREE, FREE, NONE), legs(3))
-    assert hung.put_back() == GENTLE
+    recovery = LegRecovery()
+    recovery.update(joints(0, 3), joints(0, 3), legs(0, 2, 4))
+    np.testing.assert_array_equal(recovery.update(joints(3), joints(3), NONE), legs(0))
+    assert recovery.start() == GENTLE
+    np.testing.assert_array_equal(recovery.unrecovered, legs(3))
+    assert not recovery.dangling.any()
+    np.testing.assert_array_equal(recovery.update(FREE, FREE, NONE), legs(3))
+    assert recovery.start() == GENTLE
 
 
 def test_leg_without_torque_is_not_reported_as_waiting() -> None:
-    hung = LegRecovery()
-    hung.update(joints(3), joints(0, 3), legs(0, 2, 4))
-    np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
-    np.testing.assert_array_equal(hung.waiting, joints(0), "of 3 no joint pulls")
-    assert hung.put_back() == FETCHED
-    hung.update(joints(3), joints(3, 5), legs(0, 5))
-    np.testing.assert_array_equal(hung.waiting, joints(0), "5 is hung by now, and not on its way")
-    hung.update(joints(3), joints(3), legs(0, 5))
-    np.testing.assert_array_equal(hung.waiting, joints(0, 5))
+    recovery = LegRecovery()
+    recovery.update(joints(3), joints(0, 3), legs(0, 2, 4))
+    np.testing.assert_array_equal(recovery.update(joints(3), joints(3), NONE), legs(0))
+    np.testing.assert_array_equal(recovery.waiting, joints(0), "of 3 no joint pulls")
+    assert recovery.start() == FETCHED
+    recovery.update(joints(3), joints(3, 5), legs(0, 5))
+    np.testing.assert_array_equal(recovery.waiting, joints(0), "5 is hung by now, and not on its way")
+    recovery.update(joints(3), joints(3), legs(0, 5))
+    np.testing.assert_array_equal(recovery.waiting, joints(0, 5))
 
 
 @pytest.mark.slow
@@ -79,14 +79,14 @@ def test_leg_without_torque_is_not_reported_as_waiting() -> None:
 def test_random_recovery_returns_only_torqued_legs_and_forgets_none(
     story: list[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], bool]],
 ) -> None:
-    hung, owed = LegRecovery(), NONE.copy()
+    recovery, owed = LegRecovery(), NONE.copy()
     for torque_disabled, silent, flying, may in story:
-        back = hung.update(torque_disabled[:, None] & ONE, (torque_disabled | silent)[:, None] & ONE, flying)
+        back = recovery.update(torque_disabled[:, None] & ONE, (torque_disabled | silent)[:, None] & ONE, flying)
         owed |= torque_disabled
         assert not (back & torque_disabled).any()
-        assert not (hung.dangling & ~hung.hung).any()
-        assert not (owed & ~hung.hung).any()
+        assert not (recovery.dangling & ~recovery.unrecovered).any()
+        assert not (owed & ~recovery.unrecovered).any()
         if may and back.any():
-            hung.put_back()
+            recovery.start()
             owed &= ~back
-            assert not (hung.hung & back).any()
+            assert not (recovery.unrecovered & back).any()

@@ -40,12 +40,13 @@ def test_the_swing_lies_between_unloading_and_loading() -> None:
 
 
 @pytest.mark.parametrize(
-    ("leans", "heard", "within_s"), [(NOTHING, ALL, (0.06, 0.10)), (FIRST, ALL, (0.11, 0.15)), (NOTHING, NOTHING, (0.26, 0.30))]
+    ("may_bear", "heard", "within_s"),
+    [(NOTHING, ALL, (0.06, 0.10)), (FIRST, ALL, (0.11, 0.15)), (NOTHING, NOTHING, (0.26, 0.30))],
 )
 def test_a_step_waits_longer_for_legs_that_lean_or_were_not_read(
-    leans: np.ndarray, heard: np.ndarray, within_s: tuple[float, float]
+    may_bear: np.ndarray, heard: np.ndarray, within_s: tuple[float, float]
 ) -> None:
-    wait, felt = LiftOffWait(), FootContact(NOTHING, NOTHING, REST, leans=leans, heard=heard)
+    wait, felt = LiftOffWait(), FootContact(NOTHING, NOTHING, REST, may_bear=may_bear, heard=heard)
     cycles = 1
     while not wait.is_over(FIRST, felt, DT):
         cycles += 1

@@ -200,7 +200,7 @@ def cycles_until_step_is_aborted(leg: int, leans: bool, bears_from: int, unheard
         bears, feels = ~walker.swing, np.zeros(6, dtype=bool)
         bears[leg], feels[leg] = waited >= bears_from, leans
         walker.update(
-            DT, walker.body_ref, FootContact(~ALL, bears, walker.feet_odom, leans=feels, heard=ALL & (waited > unheard))
+            DT, walker.body_ref, FootContact(~ALL, bears, walker.feet_odom, may_bear=feels, heard=ALL & (waited > unheard))
         )
         if walker.searching.any():
             return waited
@@ -332,13 +332,13 @@ def test_heaving_foot_stops_and_must_prove_contact_before_next_step() -> None:
     while walker.resting or walker.phase < 0.7:
         walker.update(DT, walker.body_ref, FootContact(np.zeros(6, dtype=bool), ALL, walker.feet_odom))
     at = walker.feet_odom
-    heaves, bears = np.arange(6) == 2, np.arange(6) != 2
+    lifts_body, bears = np.arange(6) == 2, np.arange(6) != 2
     for _ in range(60):
-        walker.update(DT, walker.body_ref, FootContact(np.zeros(6, dtype=bool), bears, at, heaves=heaves))
+        walker.update(DT, walker.body_ref, FootContact(np.zeros(6, dtype=bool), bears, at, lifts_body=lifts_body))
     np.testing.assert_allclose(walker.feet_odom[2], at[2], atol=2e-3)
     assert walker.feet_odom[0, 2] < at[0, 2]
     walker.accept(plan_to(2, body_at(0.06)))
     while not walker.searching.any():
         assert not walker.resting or walker.step == 1
         walker.update(DT, walker.body_ref, FootContact(np.zeros(6, dtype=bool), bears, walker.feet_odom))
-    assert walker.searching.tolist() == heaves.tolist()
+    assert walker.searching.tolist() == lifts_body.tolist()

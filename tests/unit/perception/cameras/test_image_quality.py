@@ -13,7 +13,7 @@ PERIOD = 33_000_000
 
 def look(kit, pictures) -> list[str]:  # type: ignore[no-untyped-def]
     watch = ImageQualityCheck(kit.profile.camera.sensor, (48, 64))
-    return [watch.look(picture, PERIOD * k) for k, picture in enumerate(pictures)]
+    return [watch.check(picture, PERIOD * k) for k, picture in enumerate(pictures)]
 
 
 def first_complaint_s(words: list[str]) -> float:

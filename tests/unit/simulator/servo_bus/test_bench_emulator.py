@@ -42,13 +42,13 @@ def test_servo_reaches_goal_at_moving_speed_in_host_time() -> None:
 
 def test_bent_leg_stays_without_torque_and_returns_with_torque() -> None:
     made = bench()
-    made.obey("bend left front 0 30 -20")
+    made.execute("bend left front 0 30 -20")
     made.receive(b"", 500 * MS)
     q = made.robot.joint_angles(made._q.reshape(6, 3))
     np.testing.assert_allclose(np.degrees(q[0]), [0.0, 30.0, -20.0], atol=1e-9)
     made.receive(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\x01"), 500 * MS)
     made.receive(b"", 600 * MS)
-    made.obey("bend left front 0 0 0")
+    made.execute("bend left front 0 0 0")
     made.receive(b"", 2_500 * MS)
     q = made.robot.joint_angles(made._q.reshape(6, 3))
     np.testing.assert_allclose(np.degrees(q[0]), [0.0, 30.0, -20.0], atol=0.6)
@@ -64,13 +64,13 @@ def test_horn_misalignment_follows_seed() -> None:
 def test_new_servos_can_be_plugged_in_and_unplugged() -> None:
     made = bench(fresh=True)
     assert answers(made, dxl.ping(1), 0) == []
-    assert made.obey("plug") == "1 servos are plugged in: 1; 17 are not"
+    assert made.execute("plug") == "1 servos are plugged in: 1; 17 are not"
     assert len(answers(made, dxl.ping(1), 10 * MS)) == 1
     made.receive(dxl.write(1, dxl.ID.address, b"\x05"), 20 * MS)
-    assert made.obey("plug 2") == "3 servos are plugged in: 1, 1, 5; 15 are not"
-    assert made.obey("unplug 1") == "2 servos are plugged in: 1, 5; 16 are not"
-    assert made.obey("unplug 1") == "1 servos are plugged in: 5; 17 are not"
-    assert made.obey("unplug") == "0 servos are plugged in: none; 18 are not"
+    assert made.execute("plug 2") == "3 servos are plugged in: 1, 1, 5; 15 are not"
+    assert made.execute("unplug 1") == "2 servos are plugged in: 1, 5; 16 are not"
+    assert made.execute("unplug 1") == "1 servos are plugged in: 5; 17 are not"
+    assert made.execute("unplug") == "0 servos are plugged in: none; 18 are not"
     assert answers(made, dxl.ping(5), 30 * MS) == []
 
 
@@ -90,9 +90,9 @@ def test_power_loss_clears_torque_and_lock_but_keeps_id() -> None:
 def test_host_at_other_baud_rate_gets_no_reply() -> None:
     made = bench(rate=1_000_000)
     assert len(answers(made, dxl.ping(1), 0)) == 1
-    made.tune(57_143)
+    made.set_baud_rate(57_143)
     assert answers(made, dxl.ping(1), 10 * MS) == []
-    made.tune(None)
+    made.set_baud_rate(None)
     assert len(answers(made, dxl.ping(1), 20 * MS)) == 1
 
 
@@ -101,16 +101,16 @@ def test_host_at_other_baud_rate_gets_no_reply() -> None:
 )
 def test_unknown_command_is_refused(line: str) -> None:
     with pytest.raises(ValueError, match=r"one of plug \[N\], .* expected, found"):
-        bench().obey(line)
+        bench().execute(line)
 
 
 @pytest.mark.parametrize("line", ["unplug 99", "bend left front 0 999 0"])
 def test_impossible_command_is_refused_without_effect(line: str) -> None:
     made = bench()
-    before = made.obey("list")
+    before = made.execute("list")
     with pytest.raises(ValueError, match=rf"expected, found '{line}'"):
-        made.obey(line)
-    assert made.obey("list") == before
+        made.execute(line)
+    assert made.execute("list") == before
 
 
 @pytest.mark.parametrize("fresh", [False, True])
