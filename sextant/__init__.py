@@ -38,11 +38,9 @@ if TYPE_CHECKING:
     from sextant.shared.wire.access import AccessError as AccessError
     from sextant.shared.wire.messages import TerrainMap as TerrainMap
     from sextant.shared.wire.messages import VelocityCommand as VelocityCommand
-    from sextant.shared.wire.transport import TransportError as TransportError
 
 _HOMES = {
     "AccessError": "sextant.shared.wire.access",
-    "TransportError": "sextant.shared.wire.transport",
     "Client": "sextant.client",
     "ClientError": "sextant.client",
     "Status": "sextant.client",

@@ -21,6 +21,7 @@ from sextant.shared.wire.access import Keys
 from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
+    GapCrossingMode,
     Goal,
     Message,
     Mode,
@@ -30,14 +31,15 @@ from sextant.shared.wire.messages import (
     Tick,
     VelocityCommand,
 )
-from sextant.shared.wire.transport import Endpoints, ZenohLink
+from sextant.shared.wire.transport import Endpoints, TransportError, ZenohLink
 
 Command: TypeAlias = Literal["off", "stop", "stand", "walk", "sit"]
 
 CONNECT_S = 10.0  # [s] in which the actuator has to publish its first state
 READY_S = 120.0  # [s] in which all services have to report; the first start compiles for a minute
 COMMAND_S = 20.0  # [s] in which a command has to be finished
-BLOCKED_S = 20.0  # [s] for which the planner may be blocked, or the robot silent, before `goto` gives up
+PATIENCE_S = 10.0  # [s] for which the planner may be blocked before `goto` gives up; the planner itself tries again after 12 s
+LOST_S = 20.0  # [s] for which the robot may be silent before `goto` gives up
 _SILENT_S = 2.0  # [s] without a state, after which the actuator counts as silent
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the same command: the robot may restart
 _SETTLED_NS = 200_000_000  # [ns] after a command, before a state counts as its result
@@ -48,7 +50,7 @@ _SILENT = f"the actuator has published no state for {_SILENT_S:g} s: it has ende
 
 
 class ClientError(RuntimeError):
-    """A command that the robot refuses or does not finish, with its reason."""
+    """No robot answers, or it refuses or does not finish a command; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +105,17 @@ class Client:
         Raises:
             ValueError: The endpoint is malformed, or asks for a certificate and there is none.
             AccessError: The keys are incomplete or expired.
-            TransportError: Nothing answers at the endpoint.
-            ClientError: No actuator publishes its state there.
+            ClientError: Nothing answers at the endpoint, or no actuator publishes its state there.
         """
         loaded = None if keys is None else Keys.load(Path(keys))
         endpoints = Endpoints((endpoint,), namespace=namespace, keys=loaded)
         self._may_only_stop = "" if loaded is None else loaded.refusal([topics.MODE])
         self._commander = Commander(name, take, may_lead=not self._may_only_stop)
         with contextlib.ExitStack() as stack:
-            link = stack.enter_context(ZenohLink(endpoints))
+            try:
+                link = stack.enter_context(ZenohLink(endpoints))
+            except TransportError as error:
+                raise ClientError(str(error)) from error
             over = threading.Event()
             running = threading.Thread(
                 target=run_live,
@@ -175,7 +179,7 @@ class Client:
         self._until(is_ready, within_s, f"the robot is not ready within {within_s:g} s")
 
     def stand(self) -> None:
-        """Stand up.
+        """Stand up, or, if the robot stands already, set all feet down again in their standing positions, without the map.
 
         Raises:
             ClientError: The robot refuses, or does not stand in time.
@@ -211,29 +215,47 @@ class Client:
         speed_mps: float = 0.1,
         body_height_m: float = 0.11,
         lift_m: float = 0.04,
+        gap_crossing: GapCrossingMode = "if needed",
+        patience_s: float = PATIENCE_S,
         within_s: float = 600.0,
     ) -> None:
         """Walk to a place in {world}, around what the robot cannot cross, and stop there.
 
         Returns once the robot stands with all legs at rest, within `tolerance_m` of the place by its own estimate of its pose.
+        The heading at the place is that of the path. Where no path leads, the robot walks to the edge of the gap, looks, and
+        tries to cross it foothold by foothold; it can take minutes until that is refused.
+
+        Args:
+            x_m: [m] of the place.
+            y_m: [m] of the place.
+            tolerance_m: [m] from the place that counts as arrived.
+            speed_mps: [m/s] at most; the legs or the ground may allow less.
+            body_height_m: [m] of the body over the ground.
+            lift_m: [m] clearance of swinging feet.
+            gap_crossing: "never" raises where no path leads; "always" walks straight, one planned leg at a time.
+            patience_s: [s] for which the planner may be blocked, for example by somebody who stands in the way.
+            within_s: [s] in which the robot has to arrive.
 
         Raises:
-            ClientError: The robot refuses, finds no way for `BLOCKED_S`, stops walking, obeys another client, or does not
-                arrive in time.
+            ValueError: A value is not finite.
+            ClientError: The robot refuses, can never execute this, finds no way for `patience_s`, stops walking, obeys another
+                client, or does not arrive in time.
         """
         place = np.array([x_m, y_m])
-        self._commander.move(Goal(0, place[None], tolerance_m, speed_mps, body_height_m, lift_m))
+        goal = Goal(0, place[None], tolerance_m, speed_mps, body_height_m, lift_m, gap_crossing=gap_crossing)
+        self._commander.move(goal)
         given_ns = self._command("walk")
-        blocked = _Blocked()
+        blocked = _Blocked(patience_s)
 
         def done(status: Status) -> bool:
-            if failure := self._not_walking(status.actuator) or blocked.see(status.planner):
-                raise ClientError(failure)
             planner = status.planner
-            return planner is not None and planner.stamp_ns > given_ns + _SETTLED_NS and planner.has_arrived_at(place)
+            answers = planner is not None and planner.stamp_ns > given_ns + _SETTLED_NS
+            if failure := self._not_walking(status.actuator) or blocked.see(planner if answers else None):
+                raise ClientError(failure)
+            return planner is not None and answers and planner.has_arrived_at(place)
 
         try:
-            self._until(done, within_s, f"the goal is not reached within {within_s:g} s", silent_s=BLOCKED_S)
+            self._until(done, within_s, f"the goal is not reached within {within_s:g} s", silent_s=LOST_S)
         except BaseException as failure:
             try:
                 self._end_walk()
@@ -452,19 +474,21 @@ class Commander:
 class _Blocked:
     """How long the planner has been blocked."""
 
-    def __init__(self) -> None:
-        self._since_ns = -1
+    def __init__(self, patience_s: float):
+        self._patience_s, self._since_ns = patience_s, -1
 
     def see(self, planner: PlannerStatus | None) -> str:
-        """Return why there is no way to the goal, once the planner is blocked for `BLOCKED_S`; else an empty text."""
+        """Return why the goal cannot be reached, once the planner is blocked for `patience_s`; else an empty text."""
         if planner is None:
             return ""
+        if planner.invalid_command:
+            return planner.reason
         if planner.state != "blocked":
             self._since_ns = -1
             return ""
         self._since_ns = planner.stamp_ns if self._since_ns < 0 else self._since_ns
         blocked_s = (planner.stamp_ns - self._since_ns) * 1e-9
-        return f"no way to the goal: {planner.reason}" if blocked_s > BLOCKED_S else ""
+        return f"no way to the goal: {planner.reason}" if blocked_s > self._patience_s else ""
 
 
 def _text(status: Status) -> str:

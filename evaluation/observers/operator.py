@@ -16,7 +16,17 @@ from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import Every, Inbox, Stages
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from sextant.shared.wire.messages import (
+    ActuatorState,
+    GapCrossingMode,
+    Goal,
+    Message,
+    Mode,
+    ModeCommand,
+    PlannerStatus,
+    Tick,
+    VelocityCommand,
+)
 
 _OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body passes the line too
 _BY_TOUCH = 0.15  # [m] further overshoot for a robot that walks blind by odometry
@@ -69,7 +79,7 @@ class Operator:
         self._goal = self._line + _OVERSHOOT
         end = (self._goal + _TOLERANCE, 0.0)
         self._route = np.array([*scenario.goal.waypoints, end]) if scenario.goal.route else None
-        self._passage = scenario.goal.passage
+        self._gap_crossing: GapCrossingMode = "always" if scenario.goal.passage else "if needed"
         self._goal_due_ns = 0
         self._walk = scenario.walk
         self._speed = min(scenario.walk.speed, profile.stance.max_speed)
@@ -111,7 +121,14 @@ class Operator:
                 self._goal_due_ns = now + _GOAL_NS
                 walk = self._walk
                 yield Goal(
-                    self._robot(), self._route, _TOLERANCE, self._speed, walk.body_height, walk.lift, walk.gait, self._passage
+                    self._robot(),
+                    self._route,
+                    _TOLERANCE,
+                    self._speed,
+                    walk.body_height,
+                    walk.lift,
+                    walk.gait,
+                    self._gap_crossing,
                 )
             arrived = self._route is not None and status is not None and status.has_arrived_at(self._route[-1])
             if arrived and self._arrived_ns is None:

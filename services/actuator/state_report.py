@@ -78,7 +78,7 @@ class StateReport:
             step=walk.step,
             phase=float(walk.phase),
             swing=walk.swing.copy(),
-            contact=estimator.contact.legs,
+            contact=estimator.contact.legs & ~walk.flying,
             q=motion.goals.measured(joints.q, joints.legs_without_torque),
             load_nm=joints.load.copy(),
             feet=odometry.feet.copy(),

@@ -108,7 +108,7 @@ class GoalFollower:
         command = VelocityCommand(robot.now_ns, np.zeros(2), 0.0, goal.body_height, goal.lift, goal.gait)
         invalid_reason = validation_error(goal) or self._steps.validation_error(command)
         if invalid_reason:
-            return Decision("blocked", invalid_reason)
+            return Decision("blocked", invalid_reason, invalid_command=True)
         if self._gap_crossing.ordered(goal):
             return self._cross_gap(goal, robot, terrain, strip)
         if self._plans.is_unanswered(robot.state):
@@ -116,6 +116,8 @@ class GoalFollower:
         with self._stages("find a way"):
             view, resting = self._view_pose(terrain, robot), is_resting(robot.state)
             found = self._path_follower.lead(goal, terrain, view, stance.body, robot.now_ns, resting)
+        if isinstance(found, NoPath) and goal.gap_crossing == "never":
+            return Decision("blocked", found.reason, retry_s=self._settings.revision.interval_s)
         if isinstance(found, NoPath):
             return self._cross_gap(goal, robot, terrain, strip, found.reason)
         if not found.commands:

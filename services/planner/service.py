@@ -168,6 +168,7 @@ class Planner:
             step=state.step,
             moved_footholds=self._moved_footholds,
             blocked_leg=self._decision.blocked_leg,
+            invalid_command=self._decision.invalid_command,
             path=self._goals.path if self._has_goal else np.zeros((0, 2)),
         )
 

@@ -72,6 +72,7 @@ PerLeg: TypeAlias = Annotated[NDArray[np.float64], Dims(6)]
 PerJoint: TypeAlias = Annotated[NDArray[np.float64], Dims(6, 3)]
 LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
 GaitName: TypeAlias = Literal["tripod", "ripple", "wave"]
+GapCrossingMode: TypeAlias = Literal["if needed", "always", "never"]
 FaultTarget: TypeAlias = Literal["bytes", "packets", "servo", "bus", "supply"]
 FaultKind: TypeAlias = Literal[
     "silent", "stuck", "garbage", "wrong", "slow", "intermittent", "jammed", "overload", "heat", "hot", "gone", "sag", "drain"
@@ -202,7 +203,7 @@ class ActuatorState(Message):
     step: int  # number of the current step, or of the last finished one
     phase: float  # [1] progress of the step, 0 to 1; 1 when it is finished
     swing: LegFlags  # legs that swing according to the plan
-    contact: LegFlags  # legs that carry load according to the measured load
+    contact: LegFlags  # legs that carry load according to the measured load; never between lift-off and touchdown
     q: PerJoint  # [rad] measured joint angles
     load_nm: PerJoint  # [N m] motor torque, from the servos' present load
     feet: PerJoint  # (6, 3) [m] {body} measured foot centres
@@ -399,6 +400,7 @@ class PlannerStatus(Message):
     path: Annotated[NDArray[np.float64], Dims("path", 2, lengths=(0, MAX_PATH))] = dataclasses.field(
         default_factory=lambda: _NO_PATH
     )  # [m] {world} corners of the path from the robot to the goal; the goal alone once arrived, empty without a path
+    invalid_command: bool = False  # blocked because this robot can never execute the command, wherever it stands
 
     def has_arrived_at(self, place: NDArray[np.float64]) -> bool:
         """Return whether the robot has arrived at the goal with this last waypoint (2,) [m] {world}, not at another one."""
@@ -430,7 +432,7 @@ class Goal(Message):
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
     gait: GaitName = "tripod"
-    gap_crossing: bool = False  # True: straight to the last waypoint, one planned leg at a time
+    gap_crossing: GapCrossingMode = "if needed"  # if needed: where there is no path; always: straight to the last waypoint
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from sextant import client
-from sextant.client import BLOCKED_S, Client, ClientError, Commander
+from sextant.client import PATIENCE_S, Client, ClientError, Commander
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox
 from sextant.shared.wire import codec, topics
@@ -31,6 +31,7 @@ from sextant.shared.wire.messages import (
     Tick,
     VelocityCommand,
 )
+from sextant.shared.wire.transport import TransportError
 from tests.support.states import actuator_state
 
 MS = 1_000_000
@@ -255,11 +256,35 @@ def test_goto_fails_without_path_or_planner_status(robot: Robot) -> None:
         began_ns = robot.now_ns
         with pytest.raises(ClientError, match=r"no way to the goal: a gap of 0.3 m"):
             me.goto(1.0, 0.5)
-        assert robot.now_ns - began_ns == pytest.approx((BLOCKED_S + 1.0) * 1e9, abs=1e9)
+        assert robot.now_ns - began_ns == pytest.approx((PATIENCE_S + 1.0) * 1e9, abs=1e9)
+        with pytest.raises(ClientError, match=r"no way to the goal: a gap of 0.3 m"):
+            me.goto(1.0, 0.5, patience_s=2.0)
         robot.planner = replace(robot.planner, state="stepping", reason="")
         robot.then = lambda: setattr(robot, "silent", robot.state.mode is Mode.WALK)
         with pytest.raises(ClientError, match="published no state"):
             me.goto(1.0, 0.5)
+
+
+def test_silent_endpoint_gives_client_error(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: object) -> None:
+        raise TransportError("nothing answers at tcp/127.0.0.1:7447")
+
+    monkeypatch.setattr(client, "ZenohLink", refuse)
+    with pytest.raises(ClientError, match="nothing answers at"):
+        Client(name="me")
+
+
+def test_goto_raises_invalid_command_at_once(robot: Robot) -> None:
+    reason = "a body height of 0.085 to 0.15 m expected, 0.5 m commanded"
+    with Client(name="me") as me:
+        me.stand()
+        robot.planner = replace(robot.planner, state="blocked", reason=reason, invalid_command=True)
+        began_ns = robot.now_ns
+        with pytest.raises(ClientError, match=reason):
+            me.goto(1.0, 0.5, body_height_m=0.5)
+        assert robot.now_ns - began_ns < 2e9
+        with pytest.raises(ValueError, match="finite"):
+            me.goto(float("nan"), 0.5)
 
 
 def test_client_without_lease_stops_robot_once_and_leaves_lease(robot: Robot) -> None:

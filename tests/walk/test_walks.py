@@ -4,15 +4,29 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sextant.deploy import cli
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.evaluation.report import check
+from sextant.shared.recording.reader import Recording
 from sextant.shared.scenario.scenario import Goal, Walk, load_scenario
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode
 from tests.support.walks import flat
 
 BODY_HEIGHT = 0.11  # [m] commanded
+
+
+def contacts_in_the_air(recording: Recording) -> NDArray[np.bool_]:
+    """Return the reported contact of each foot that is in the air, by the nearest ground truth."""
+    messages = [message for _, message, _ in recording.messages((topics.TRUTH, topics.ACTUATOR_STATE))]
+    truth = [message for message in messages if isinstance(message, GroundTruth)]
+    states = [message for message in messages if isinstance(message, ActuatorState) and message.mode is Mode.WALK]
+    nearest = np.abs(np.array([[t.stamp_ns] for t in truth]) - np.array([s.stamp_ns for s in states])).argmin(axis=0)
+    return np.concatenate([state.contact[~truth[k].contact] for state, k in zip(states, nearest, strict=True)])
 
 
 def test_walk_on_flat_ground_keeps_body_level_and_localized(tmp_path: Path) -> None:
@@ -32,6 +46,9 @@ def test_walk_on_flat_ground_keeps_body_level_and_localized(tmp_path: Path) -> N
     assert report.min_stability_margin_m >= 0.03
     assert (report.too_slow, report.late_s) == ("", 0.0)
     assert all(ages.late == 0.0 for ages in report.input_ages_s.values())
+    contacts = contacts_in_the_air(Recording(tmp_path / "recording.mcap"))
+    assert len(contacts) > 500
+    assert contacts.mean() < 0.01, "no foot in the air is reported to carry load"
 
 
 def test_sixth_order_reference_arc_walks() -> None:

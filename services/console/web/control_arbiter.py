@@ -299,7 +299,18 @@ class ControlArbiter:
         goal, walk = active.goal, active.goal.walk
         speed = min(goal.speed, self._max_speed)
         waypoints = np.array(goal.waypoints)
-        return [Goal(now_ns, waypoints, _TOLERANCE_M, speed, walk.height, walk.lift, walk.gait, goal.passage)]
+        return [
+            Goal(
+                now_ns,
+                waypoints,
+                _TOLERANCE_M,
+                speed,
+                walk.height,
+                walk.lift,
+                walk.gait,
+                "always" if goal.passage else "if needed",
+            )
+        ]
 
     # ------------------------------------------------------------------------------------------------ ends of presses, goals
 

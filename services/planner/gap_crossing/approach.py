@@ -46,6 +46,7 @@ class GapCrossingController:
         return (
             self._goal is not None
             and same_goal(goal, self._goal)
+            and goal.gap_crossing != "never"
             and (self._gap_crossing is not None or self._crossing_line is not None)
         )
 
@@ -55,7 +56,7 @@ class GapCrossingController:
 
     def ordered(self, goal: Goal) -> bool:
         """Return whether a goal requests a crossing that is not complete yet."""
-        return goal.gap_crossing and not (self._goal is not None and same_goal(goal, self._goal) and self._crossed)
+        return goal.gap_crossing == "always" and not (self._goal is not None and same_goal(goal, self._goal) and self._crossed)
 
     def messages(self, now_ns: int) -> Iterator[Message]:
         """Yield the map request and the planning results that are due."""
@@ -131,7 +132,7 @@ class GapCrossingController:
         assert self._crossing_line is not None
         place, target = self._crossing_line
         if self._approach is not None:
-            there = replace(goal, waypoints=place[None], tolerance=self._params.start_tolerance_m, gap_crossing=False)
+            there = replace(goal, waypoints=place[None], tolerance=self._params.start_tolerance_m, gap_crossing="never")
             led = self._approach.lead(there, terrain, T_world_body, standing.body, state.stamp_ns)
             if isinstance(led, NoPath):
                 return CannotCross(f"no path to the edge of the gap: {led.reason}")

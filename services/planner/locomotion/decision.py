@@ -17,3 +17,4 @@ class Decision:
     blocked_leg: int = -1  # the leg that has no step, -1 for none
     step: NumberedStep | None = None  # the step to send
     retry_s: float = 0.0  # [s] until the next attempt if there is no step; 0: at the next state of the actuator
+    invalid_command: bool = False  # blocked because this robot can never execute the command

@@ -80,7 +80,7 @@ class StepSelector:
             # "stepping" without a step: the robot comes to rest first, then it steps by touch.
             if decision.step is not None or decision.state == "stepping":
                 return replace(decision, retry_s=retry_s)
-        if decision.state == "blocked" and robot.state.phase >= 1.0:
+        if decision.state == "blocked" and not decision.invalid_command and robot.state.phase >= 1.0:
             step = self._gather(commands[0], robot, terrain)
             if step is not None:
                 return replace(decision, reason=f"moving the feet back under the body: {decision.reason}", step=step)
@@ -106,7 +106,7 @@ class StepSelector:
             return Decision("waiting", UNKNOWN_STEP)
         invalid_reason = self.validation_error(starts[0].command)
         if invalid_reason:
-            return Decision("blocked", invalid_reason)
+            return Decision("blocked", invalid_reason, invalid_command=True)
         with self._stages("plan step"):
             found, way = self._by_touch.choose(starts, terrain, refusals.of(0))
         if isinstance(found, PlannedStep):
@@ -140,7 +140,7 @@ class StepSelector:
             return Decision("waiting", UNKNOWN_STEP)
         invalid_reason = self.validation_error(command)
         if invalid_reason:
-            return Decision("blocked", invalid_reason)
+            return Decision("blocked", invalid_reason, invalid_command=True)
         refusals = self._plans.refusals
         with self._stages("plan step"):
             found, way = self._by_sight.choose(starts, terrain, refusals.of(number))

@@ -144,7 +144,7 @@ def test_planner_steps_or_reports_reason_on_any_map_and_strip(seed: int) -> None
     rig = Rig()
     rig.command, rig.terrain = None, any_map(rng)
     waypoints = rng.uniform(-1.5, 1.5, (int(rng.integers(1, 4)), 2)) * rng.choice([0.03, 1.0, 4.0])
-    rig.goal = Goal(0, waypoints, 0.05, 0.1, HEIGHT, 0.03, gap_crossing=bool(rng.random() < 0.5))
+    rig.goal = Goal(0, waypoints, 0.05, 0.1, HEIGHT, 0.03, gap_crossing="always" if rng.random() < 0.5 else "if needed")
     for _ in range(40):
         said = rig.cycle()
         for request in (m for m in said if isinstance(m, PassageRequest)):

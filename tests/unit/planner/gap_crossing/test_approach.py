@@ -67,7 +67,7 @@ def walk_until_request(goal: Goal, map_: TerrainMap, cycles: int = 6000) -> tupl
 
 @pytest.mark.parametrize("ordered", [False, True])
 def test_robot_walks_to_gap_edge_and_requests_passage_map(ordered: bool) -> None:
-    rig, heard = walk_until_request(replace(GOAL, gap_crossing=ordered), gap(0.8))
+    rig, heard = walk_until_request(replace(GOAL, gap_crossing="always" if ordered else "if needed"), gap(0.8))
     request = heard[-1] if isinstance(heard[-1], PassageRequest) else next(m for m in heard if isinstance(m, PassageRequest))
     body = rig.state.T_odom_body
     assert body[0, 3] == pytest.approx(EDGE - 0.36, abs=0.07)
@@ -101,8 +101,17 @@ def test_refusal_without_gap_names_path_and_obstacle() -> None:
     assert "no gap crossing: an obstacle blocks the straight line to the goal after 0.6 m" in status.reason
 
 
+def test_goal_without_gap_crossing_is_blocked_at_once_where_no_path_leads() -> None:
+    rig, heard = walk_until_request(replace(GOAL, gap_crossing="never"), gap(0.8))
+    status = rig.status()
+    assert status.state == "blocked"
+    assert status.reason.startswith("no path to (2.5, 0.0)")
+    assert not status.invalid_command
+    assert not any(isinstance(m, PassageRequest | StepPlan) for m in heard)
+
+
 def test_velocity_command_overrides_gap_crossing() -> None:
-    rig, _ = walk_until_request(replace(GOAL, gap_crossing=True), gap(0.8))
+    rig, _ = walk_until_request(replace(GOAL, gap_crossing="always"), gap(0.8))
     rig.command = VelocityCommand(0, np.array([-0.05, 0.0]), 0.0, HEIGHT, 0.03)
     said = [m for _ in range(40) for m in rig.cycle()]
     assert any(isinstance(m, StepPlan) and m.body_goal[0, 3] < rig.state.T_odom_body[0, 3] for m in said)
@@ -111,7 +120,7 @@ def test_velocity_command_overrides_gap_crossing() -> None:
 
 def test_ordered_crossing_without_mapped_gap_requests_map_in_place() -> None:
     rig = Rig()
-    rig.command, rig.goal = None, replace(GOAL, gap_crossing=True)
+    rig.command, rig.goal = None, replace(GOAL, gap_crossing="always")
     heard = [m for _ in range(60) for m in rig.cycle()]
     assert not any(isinstance(m, StepPlan) for m in heard)
     request = next(m for m in heard if isinstance(m, PassageRequest))
@@ -130,7 +139,7 @@ def test_ordered_crossing_without_mapped_gap_requests_map_in_place() -> None:
 )
 def test_invalid_goal_is_refused_with_reason(changes: dict[str, Any], words: str, passage: bool) -> None:
     rig = Rig()
-    rig.command, rig.goal = None, replace(GOAL, gap_crossing=passage, **changes)
+    rig.command, rig.goal = None, replace(GOAL, gap_crossing="always" if passage else "if needed", **changes)
     assert rig.plans(20) == []
     assert rig.status().state == "blocked"
     assert words in rig.status().reason
@@ -149,7 +158,7 @@ def test_gap_detection_for_distant_goal_is_limited_to_map() -> None:
 @pytest.mark.slow
 def test_crossing_without_map_is_refused_and_retried_later() -> None:
     rig = Rig()
-    rig.command, rig.goal = None, replace(GOAL, gap_crossing=True)
+    rig.command, rig.goal = None, replace(GOAL, gap_crossing="always")
     rig.plans(400)  # 8 s
     assert rig.status().reason.startswith("no gap crossing: no valid map of the gap received from the mapper")
     asked_s = [t * 0.02 for t in range(3000) if any(isinstance(m, PassageRequest) for m in rig.cycle())]
@@ -196,7 +205,7 @@ def test_next_gap_is_crossed_unless_previous_survey_found_none(walked: bool, mon
     monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", Crossing)
     (rig, standing), terrain = at_the_edge(), Terrain(gap(0.8))
     mode = GapCrossingController(load_profile("phantomx_mk2"), Settings())
-    goal = replace(GOAL, gap_crossing=True)
+    goal = replace(GOAL, gap_crossing="always")
 
     def ended() -> Outcome | MotionCommand:
         for k in range(100):
@@ -219,7 +228,7 @@ def test_robot_rests_before_every_attempt_to_cross(monkeypatch: pytest.MonkeyPat
     (rig, standing), terrain = at_the_edge(), Terrain(gap(0.8))
     params = GapApproachParams()
     mode = GapCrossingController(load_profile("phantomx_mk2"), Settings())
-    goal, now_ns = replace(GOAL, gap_crossing=True), rig.state.stamp_ns
+    goal, now_ns = replace(GOAL, gap_crossing="always"), rig.state.stamp_ns
     for _ in range(2):
         begun_ns = now_ns
         while isinstance(
