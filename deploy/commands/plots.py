@@ -23,7 +23,7 @@ _SCALED = ("height", "tilt", "foot", "torque", "stability", "pose")  # figures t
     type=Parsed(options.width_in, "width"),
 )
 @flag("--csv", "also write the plotted data as NAME.csv", "data")
-@option("--scenario", "scenario that was walked, by name or TOML file, if sextant does not have it", "NAME", default="")
+@option("--scenario", "scenario of an older recording, by name or TOML file, if sextant does not have it", "NAME", default="")
 @options.out
 @flag("--json", "print the numbers of the runs as JSON, not as a table", "as_json")
 def plot(

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from sextant.evaluation.video.ground import Ground
     from sextant.evaluation.video.sinking import Sinking
     from sextant.evaluation.video.timeline import Timeline
+    from sextant.shared.recording.reader import Recording
     from sextant.shared.robot.profile import RobotProfile
 
 _TOLD_EVERY_S = 5.0
@@ -30,7 +31,10 @@ _FEET_OFF = 0.02  # [m] median height of standing feet off the ground beyond whi
 @option("--speed", "playback speed", "X", type=number(0.05, 100.0, "a number"), default=1.0)
 @option("--size", "picture size in pixels", "WxH", type=Parsed(options.picture_size, "size"), default="1280x720")
 @option(
-    "--scenario", "scenario that gives the ground, by name or TOML file (default: the recorded scenario)", "NAME", default=""
+    "--scenario",
+    "scenario that gives the ground of an older recording, by name or TOML file (default: the recorded one)",
+    "NAME",
+    default="",
 )
 @option("--fps", "frames per second", "N", type=number(1.0, 120.0, "frames per second"), default=25.0)
 @option("--from", "start time in the recording (default: 0)", "S", into="from_s", type=_INSTANT, default=0.0)
@@ -57,7 +61,7 @@ def video(
         complain(f"{path} is truncated; its first {story.duration_s:.1f} s are drawn")
     about = _about(source, recording.about, story)
     profile = load_profile(about["robot"])
-    ground, sinking = _ground(about, story, profile, scenario)
+    ground, sinking = _ground(recording, about, story, profile, scenario)
     cut = Cut(size, fps, speed, from_s, to_s)
     try:
         title = _title(about) if ground is not None else f"{_title(about)}, on the robot's map"
@@ -116,7 +120,7 @@ def _about(run: Path, said: Mapping[str, str], story: "Timeline") -> dict[str, s
 
 
 def _ground(
-    about: Mapping[str, str], story: "Timeline", profile: "RobotProfile", asked: str
+    recording: "Recording", about: Mapping[str, str], story: "Timeline", profile: "RobotProfile", asked: str
 ) -> tuple["Ground | None", "Sinking | None"]:
     """Return the true ground, or None where it is unknown.
 
@@ -127,6 +131,7 @@ def _ground(
     from sextant.evaluation.video.ground import of_terrain
     from sextant.evaluation.video.sinking import Sinking
     from sextant.evaluation.video.timeline import trail
+    from sextant.evaluation.walked_scenario import walked_scenario
     from sextant.services.simulator.physics.terrain import build_terrain
     from sextant.shared.files.config import ConfigError
     from sextant.shared.scenario.scenario import load_scenario
@@ -135,7 +140,8 @@ def _ground(
         return None, None
     name = asked or about["scenario"]
     try:
-        terrain = build_terrain(load_scenario(name), np.random.default_rng([int(about["seed"]), 0]))
+        walked = walked_scenario(recording, asked) or load_scenario(name)
+        terrain = build_terrain(walked, np.random.default_rng([int(about["seed"]), 0]))
     except (ConfigError, ValueError) as error:
         if asked:
             raise

@@ -14,10 +14,11 @@ from sextant.evaluation.figures.recorded_ground import SEED, WORDS, Frame, groun
 from sextant.evaluation.report import Report
 from sextant.evaluation.scoring.scorer import Scorer
 from sextant.evaluation.trace.trace import Trace
+from sextant.evaluation.walked_scenario import walked_scenario
 from sextant.shared.files.config import ConfigError
 from sextant.shared.files.input_file import FileError, read_json
 from sextant.shared.geometry import Array
-from sextant.shared.recording.layout import RecordingError
+from sextant.shared.recording.layout import SCENARIO, RecordingError
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
@@ -55,12 +56,12 @@ def recorded_run(path: Path, scenario: str = "") -> RecordedRun:
 
     Args:
         path: Folder or recording of the run.
-        scenario: Name or TOML file of the scenario; empty for the one in the recording.
+        scenario: Name or TOML file of the scenario; empty for the one in the recording. An older recording has only the name.
 
     Raises:
         RecordingError: There is no recording, it holds no walk or another scenario, or the report next to it is invalid or from
             another version.
-        ConfigError: The given scenario does not exist.
+        ConfigError: The given scenario does not exist or is not the recorded one, or a file that it names has changed.
     """
     recording = Recording(path)
     try:
@@ -157,9 +158,9 @@ def _as_it_came(recording: Recording) -> Iterator[Frame]:
 def _scorer(recording: Recording, scenario: str, truth: GroundTruth) -> Scorer:
     """Return a scorer for the run to which a first truth message belongs."""
     try:
-        walked = load_scenario(scenario or truth.scenario)
+        walked = walked_scenario(recording, scenario) or load_scenario(scenario or truth.scenario)
     except ConfigError:
-        if scenario:
+        if scenario or SCENARIO in recording.about:
             raise
         raise RecordingError(
             f"{recording.path}: a run of {truth.scenario!r}, which does not come with Sextant; give its file with --scenario"

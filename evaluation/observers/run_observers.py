@@ -12,8 +12,10 @@ from sextant.evaluation.observers.monitor import Monitor
 from sextant.evaluation.observers.operator import Operator
 from sextant.evaluation.report import Report, StageTime
 from sextant.evaluation.scoring.scorer import Scorer
+from sextant.evaluation.walked_scenario import as_text
 from sextant.shared.files import config, whole_files
 from sextant.shared.files.whole_files import WriteError
+from sextant.shared.recording.layout import SCENARIO
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.lateness import SlowComputer
 from sextant.shared.runtime.service import Service
@@ -139,9 +141,11 @@ def clear(out: Path) -> None:
 def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:
     """Return the metadata of a recording.
 
-    It includes the map size, the planner's settings and the parameters that were changed, which a replay uses too.
+    It includes the map size, the planner's settings and the parameters that were changed, which a replay uses too, and the
+    whole scenario, from which figures and video draw the ground.
     """
     size = {f"map.{field.name}": str(getattr(scenario.map, field.name)) for field in fields(scenario.map)}
     walk = {"walk.blind": str(scenario.walk.blind), "walk.footholds": scenario.walk.footholds}
     tuned = {"params": json.dumps(scenario.params), "plugins": scenario.plugins.words()}
-    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk, **tuned}
+    whole = {SCENARIO: as_text(scenario)}
+    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk, **tuned, **whole}

@@ -25,6 +25,7 @@ from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.services.planner.service import Planner
 from sextant.shared.files import whole_files
 from sextant.shared.files.input_file import parse_json
+from sextant.shared.recording.layout import FOR_PROGRAMS
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import Lockstep
@@ -98,7 +99,7 @@ def replay_recording(
             layers_picture.draw(out / "layers.png", replay.maps[max(replay.maps)])
     table = {
         "source": path.name,
-        "about": {key: value for key, value in recording.about.items() if key != "frame_layout"},
+        "about": {key: value for key, value in recording.about.items() if key not in FOR_PROGRAMS},
         "complete": recording.complete,
         "topics": dict(sorted(counts.items())),
         "fed": sorted(replay.fed_keys),

@@ -23,10 +23,11 @@ from sextant.evaluation.report import Report
 from sextant.evaluation.trials import results_store
 from sextant.evaluation.trials.results_store import Run
 from sextant.evaluation.trials.statistics import Difference, Rate, difference, wilson
+from sextant.evaluation.walked_scenario import named_files
 from sextant.shared.errors import SextantError
 from sextant.shared.files import config, whole_files
 from sextant.shared.runtime.workers import share_out
-from sextant.shared.scenario.scenario import HeightMap, Scenario
+from sextant.shared.scenario.scenario import Scenario
 
 _PACKAGES = ("shared", "services", "evaluation", "deploy")
 Runner = Callable[[Scenario, int], Report]
@@ -322,8 +323,7 @@ def fingerprint(scenario: Scenario) -> str:
     """
     table = config.as_table(replace(scenario, folder="."))
     digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _begun_by()[0], digest_size=6)
-    named = [part.path(Path(scenario.folder)) for part in scenario.terrain if isinstance(part, HeightMap)]
-    for path in [*named, Path(scenario.robot)]:
+    for path in named_files(scenario).values():
         if path.is_file():
             digest.update(path.read_bytes())
     for path in scenario.plugins.sources():

@@ -8,7 +8,7 @@ from typing import Any
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as Entry
 
-from sextant.shared.recording.layout import METADATA
+from sextant.shared.recording.layout import FOR_PROGRAMS, METADATA
 from sextant.shared.recording.reader import Recording, read_records
 from sextant.shared.recording.records import Condition, printable
 
@@ -88,7 +88,7 @@ def _read(path: Path, found: Contents) -> None:
                 known = Track(schemas.get(record.schema_id, "?"), record.message_encoding)
                 found.tracks.setdefault(record.topic, known)
             case Metadata(name=name) if name == METADATA and not found.about:
-                found.about = {k: v for k, v in record.metadata.items() if k != "frame_layout"}
+                found.about = {k: v for k, v in record.metadata.items() if k not in FOR_PROGRAMS}
             case Metadata(name=name) if name != METADATA:
                 found.metadata.append(name)
             case Attachment():

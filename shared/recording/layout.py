@@ -14,6 +14,8 @@ from sextant.shared.wire.messages import Message
 
 ENCODING = "sextant"  # of Sextant's own schemas and messages
 METADATA = "run"  # name of the metadata record about the run
+SCENARIO = "scenario.json"  # its key for the scenario that was walked; see `sextant.evaluation.walked_scenario`
+FOR_PROGRAMS = frozenset({"frame_layout", SCENARIO})  # its keys that are not shown
 
 FRAME_LAYOUT = (
     "uint32 little-endian header length | header | padding to 8 bytes | arrays, each padded to 8 bytes. "

@@ -1,5 +1,6 @@
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,11 +8,17 @@ import pytest
 from sextant.evaluation import report as reports
 from sextant.evaluation.figures.recorded_ground import WORDS, MappedGround
 from sextant.evaluation.figures.recorded_run import recorded_run
+from sextant.evaluation.observers.run_observers import about
+from sextant.evaluation.walked_scenario import walked_scenario
 from sextant.shared.files.config import ConfigError
 from sextant.shared.recording.layout import RecordingError
+from sextant.shared.recording.reader import Recording
 from sextant.shared.recording.writer import Recorder
+from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, TerrainMap
+
+_MEASURED = '[[terrain]]\nkind = "height_map"\nfile = "ground.npy"\nresolution = 0.01\nxy = [-1.0, -1.0]\n'
 
 
 @pytest.mark.slow
@@ -109,3 +116,39 @@ def test_invalid_run_is_refused_with_hint(story, kept, scenario, tmp_path):
     (tmp_path / "bad" / "report.json").write_text('{"scenario": 3}')
     with pytest.raises(RecordingError, match="not a report: scenario: str expected"):
         recorded_run(tmp_path / "bad", scenario)
+
+
+def test_recorded_scenario_is_drawn_and_another_one_is_refused(story, scenario, tmp_path):
+    np.save(tmp_path / "ground.npy", np.zeros((300, 200)))
+    course = tmp_path / "story.toml"
+    course.write_text(Path(scenario).read_text() + _MEASURED)
+    walked = load_scenario(str(course))
+    told = story(scenario=walked)
+    with Recorder(tmp_path / "run.mcap", about(walked, told.seed, "live"), thinned_ns={}) as recorder:
+        for message in told.messages():
+            recorder.write(topics.OF_TYPE[type(message)], codec.encode(message), message.stamp_ns)
+    run = recorded_run(tmp_path / "run.mcap", str(course))
+    course.write_text(course.read_text().replace("distance = 0.5", "distance = 0.4"))
+    assert recorded_run(tmp_path / "run.mcap").numbers == run.numbers
+    with pytest.raises(ConfigError, match=r"differs from the scenario that .* holds in goal; leave --scenario out"):
+        recorded_run(tmp_path / "run.mcap", str(course))
+    np.save(tmp_path / "ground.npy", np.ones((300, 200)))
+    with pytest.raises(ConfigError, match=r"ground\.npy: this file of the recorded scenario has changed since the run"):
+        recorded_run(tmp_path / "run.mcap")
+    (tmp_path / "ground.npy").unlink()
+    with pytest.raises(ConfigError, match=r"ground\.npy: this file of the recorded scenario is missing"):
+        recorded_run(tmp_path / "run.mcap")
+
+
+def test_damaged_recorded_scenario_is_refused(tmp_path):
+    for text in ("{", "[]", '{"scenario": {}, "files": {}}', '{"scenario": 3, "files": {}}'):
+        recording = Recording(kept_message(tmp_path / "run.mcap", {"scenario.json": text}))
+        assert len(list(recording.frames())) == 1
+        with pytest.raises(ConfigError, match="read it with the version that wrote it"):
+            walked_scenario(recording)
+
+
+def kept_message(path: Path, about: dict[str, str]) -> Path:
+    with Recorder(path, about) as recorder:
+        recorder.write(topics.TRUTH, b"not a frame", 0)
+    return path
