@@ -27,18 +27,19 @@ _keys = argument("keys", "topics to receive (default: all except camera images)"
 def list_topics(as_json: bool) -> int:
     """Print the topic table of this version; it needs no robot.
 
-    `sextant topics hz` shows which topics a running robot publishes, and `sextant topics echo` their messages.
+    With --json it has the schema and the fields of each message, in the order of its frame. `sextant topics hz` shows which
+    topics a running robot publishes, and `sextant topics echo` their messages.
     """
+    from sextant.shared.wire.field_table import table_of
     from sextant.shared.wire.topics import TOPICS
 
     if as_json:
-        rows = [{"key": t.key, "type": t.type.__name__, "rate_hz": t.rate_hz, "delivery": t.delivery.value} for t in TOPICS]
-        say(json.dumps(rows, indent=1))
+        say(json.dumps([table_of(topic) for topic in TOPICS], indent=1, ensure_ascii=False))
         return SUCCESS
-    say(f"{'key':<20} {'type':<16} {'rate':>8}  delivery  what")
+    say(f"{'key':<24} {'type':<16} {'rate':<24}  delivery  what")
     for t in TOPICS:
         doc = (t.type.__doc__ or "").split("\n")[0]
-        say(f"{t.key:<20} {t.type.__name__:<16} {t.rate_hz:>5.1f} Hz  {t.delivery.value:<8}  {doc}")
+        say(f"{t.key:<24} {t.type.__name__:<16} {t.rate:<24}  {t.delivery.value:<8}  {doc}")
     return SUCCESS
 
 
@@ -54,7 +55,7 @@ def echo(keys: tuple[str, ...], connection: options.Connection, count: int | Non
     from sextant.deploy.topics.passive_subscriber import Mailbox, listen
     from sextant.shared.wire.transport import ZenohLink
 
-    wanted, told = _wanted(keys), 0
+    wanted, told = _wanted(keys, connection.namespace), 0
     mailbox, endpoints = Mailbox(), connection.endpoints()
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         listen(link, wanted, mailbox.take, time.monotonic_ns)
@@ -104,7 +105,7 @@ def hz(keys: tuple[str, ...], connection: options.Connection, seconds: float, as
     from sextant.deploy.topics.passive_subscriber import listen
     from sextant.shared.wire.transport import ZenohLink
 
-    wanted = _wanted(keys)
+    wanted = _wanted(keys, connection.namespace)
     counted, endpoints = topic_stats.Rates(wanted), connection.endpoints()
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         began_ns = time.monotonic_ns()
@@ -124,11 +125,11 @@ def _wait(seconds: float, began_ns: int, asked: Callable[[], bool]) -> float:
     return passed_s
 
 
-def _wanted(keys: tuple[str, ...]) -> "tuple[AnyTopic, ...]":
+def _wanted(keys: tuple[str, ...], namespace: str) -> "tuple[AnyTopic, ...]":
     from sextant.deploy.topics.passive_subscriber import ONLY_BY_NAME, topics_named
 
     try:
-        wanted = topics_named(keys)
+        wanted = topics_named(keys, namespace)
     except ValueError as error:
         raise InputError(str(error)) from None
     if not keys:

@@ -14,6 +14,7 @@ from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire.codec import DecodeError, decode, label
 from sextant.shared.wire.messages import Message, schema
 
+_ROUNDING = 1e-14  # smaller numbers are rounding errors, shown as 0
 FEW = 36  # values of an array that is shown in full: a covariance, and all joints
 _WIDTH = 110  # columns
 
@@ -70,7 +71,7 @@ def _lines(value: Any, width: int) -> list[str]:
         what = f"{value.dtype} {value.shape}"
         if value.size > FEW:
             return [f"{what}  {_digest_in_words(value)}"]
-        text = np.array2string(value, precision=4, suppress_small=True, max_line_width=width)
+        text = np.array2string(value, max_line_width=width, formatter=_aligned(value))
         lines = text.splitlines()
         return [f"{what}  {text}"] if len(lines) == 1 and len(what) + len(text) + 2 <= width else [what, *lines]
     if isinstance(value, tuple):
@@ -78,6 +79,18 @@ def _lines(value: Any, width: int) -> list[str]:
     if isinstance(value, float):
         return [f"{value:.6g}"]
     return [repr(value) if type(value) is str else str(value)]
+
+
+def _aligned(array: NDArray[Any]) -> Any:
+    """Return NumPy's formatter for the numbers of an array: five digits in equal widths; None without floats."""
+    if array.dtype.kind != "f":
+        return None
+
+    def spelled(x: float) -> str:
+        return f"{0.0 if abs(x) < _ROUNDING else x:.5g}"
+
+    width = max(map(len, map(spelled, array.ravel().tolist())), default=0)
+    return {"float_kind": lambda x: f"{spelled(x):>{width}}"}
 
 
 def _digest(array: NDArray[Any]) -> dict[str, float]:

@@ -1,6 +1,5 @@
 """Passive subscriber: frames are queued at once and read when there is time."""
 
-import difflib
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -16,22 +15,17 @@ from sextant.shared.wire.topics import Delivery
 ONLY_BY_NAME: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.PREVIEW)
 _QUEUE = 256  # most frames of an EVERY topic that may wait
 _SAME_CLOCK_NS = 10_000_000_000  # [ns] a frame whose age is negative or larger than this is stamped by another machine's clock
+_AHEAD_NS = 20_000_000  # [ns] a simulator stamps what it has computed, up to this time before it is due
 
 
-def topics_named(keys: Sequence[str]) -> tuple[AnyTopic, ...]:
-    """Return the topics of some keys; without keys, all except the large ones.
+def topics_named(keys: Sequence[str], namespace: str) -> tuple[AnyTopic, ...]:
+    """Return the topics of some keys, with or without the namespace; without keys, all except the large ones.
 
     Raises:
         ValueError: Unknown key, with the nearest match.
     """
-    known = {topic.key: topic for topic in topics.TOPICS}
-    for key in keys:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.4)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise ValueError(f"no topic {key!r}; {hint}`sextant topics list` lists all topics")
     if keys:
-        return tuple(known[key] for key in dict.fromkeys(keys))
+        return tuple(dict.fromkeys(topics.topic_named(key, namespace) for key in keys))
     return tuple(topic for topic in topics.TOPICS if topic not in ONLY_BY_NAME)
 
 
@@ -56,7 +50,8 @@ def age_ns(label: Label, at_ns: int) -> int | None:
     None if it is stamped by another machine's clock.
     """
     sent_ns = label.timing.sent_ns or label.stamp_ns
-    return at_ns - label.stamp_ns if 0 <= at_ns - sent_ns <= _SAME_CLOCK_NS else None
+    age = at_ns - label.stamp_ns
+    return None if not 0 <= at_ns - sent_ns <= _SAME_CLOCK_NS else max(age, 0) if age > -_AHEAD_NS else age
 
 
 @dataclass(frozen=True, slots=True)

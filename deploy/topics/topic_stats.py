@@ -22,9 +22,11 @@ _SIDES = {"robot": "onboard", "device": "onboard", "either": "offboard", "page":
 _WRITTEN_BY: Mapping[str, str] = MappingProxyType(
     {"operator": "operators", "imu": "onboard", "passage": "offboard", "health": "all", "machine": "all"}
 )
-_TOTAL = "{:<20} {:<8} {:>16} {:>11}"
+_TOTAL = "{:<22} {:<8} {:>16} {:>11}"
 _BUDGET = _TOTAL + " {:>11}"
 _LINE = _TOTAL + " {:>9} {:>9} {:>12} {:>18}"
+_OF_TOTALS = """sender: side of the publisher; operators: clients that order; all: health and presence of every side
+at most: the volume if each topic had messages of the largest size at its documented rate"""
 
 
 def side(topic: AnyTopic) -> str:
@@ -57,6 +59,7 @@ class Row:
     side: str
     lane: Lane
     expected_hz: float
+    more: str  # what is sent besides, as text
     frames: int
     rate_hz: float
     bytes_per_s: float
@@ -111,6 +114,7 @@ def _row(topic: AnyTopic, count: _Count, duration_s: float) -> Row:
         side=side(topic),
         lane=topic.lane,
         expected_hz=topic.rate_hz,
+        more=topic.more,
         frames=count.frames,
         rate_hz=count.frames / duration_s,
         bytes_per_s=count.bytes / duration_s,
@@ -152,11 +156,13 @@ def in_words(rows: list[Row]) -> str:
     lines = [_LINE.format("key", "lane", "rate, of", "per second", "mean", "largest", "longest gap", "age (largest)")]
     for row in rows:
         if row.frames:
-            beside = f"{row.rate_hz:.1f}, {row.expected_hz:g} Hz"
+            beside = f"{row.rate_hz:.1f}, {row.expected_hz:g} Hz{'*' if row.more else ' '}"
             gap = f"{row.gap_ms:.0f} ms" if row.gap_ms is not None else "-"
             age = f"{row.age_ms[0]:.1f} ({row.age_ms[1]:.1f}) ms" if row.age_ms is not None else "another clock"
             sizes = (_size(row.bytes_per_s), _size(row.mean_bytes), _size(row.largest_bytes))
             lines.append(_LINE.format(row.key, row.lane.value, beside, *sizes, gap, age))
+    more = [f"{row.key} {row.expected_hz:g} Hz{row.more}" for row in rows if row.frames and row.more]
+    lines += [f"* {', '.join(more)}"] if more else []
     lines += ["", _BUDGET.format("sender", "lane", "messages", "per second", "at most")]
     for (who, lane), total in sorted(totals(rows).items(), key=lambda item: (item[0][0] == "sum", item[0][0])):
         if total.rate_hz:
@@ -165,6 +171,7 @@ def in_words(rows: list[Row]) -> str:
                     who, lane.value, f"{total.rate_hz:.1f} Hz", _size(total.bytes_per_s), _size(total.budget_bytes_per_s)
                 )
             )
+    lines += ["", _OF_TOTALS]
     silent = [row.key for row in rows if not row.frames]
     lines += [f"\nsilent: {', '.join(silent)}"] if silent else []
     lines += [f"{row.key}: {row.refused} of {row.frames} cannot be decoded: {row.refusal}" for row in rows if row.refused]

@@ -7,26 +7,26 @@ import importlib
 import inspect
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from docs.reference.field_comments import Meaning, comments, parse
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.live.send_command import Order
 from sextant.deploy.ros2.bridge import Bridge
 from sextant.evaluation.observers.operator import Operator
 from sextant.evaluation.scoring.scorer import Scorer
+from sextant.shared.field_comments import comments
+from sextant.shared.robot.profile import JOINTS, LEGS
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, messages, topics
-from sextant.shared.wire.messages import Dims, Message, Mode, VelocityCommand
+from sextant.shared.wire.field_table import field_rows
+from sextant.shared.wire.messages import Mode, VelocityCommand
 from sextant.shared.wire.transport import Endpoints
 
 CLIENT = Path(__file__).resolve().parents[1] / "walk_client.py"
-_FRAMES = ("world", "odom", "body")
-_NAMES = {float: "float", int: "int", bool: "bool", str: "text"}
 
 _BEGINNING = """# Keys and messages
 
@@ -58,8 +58,13 @@ address), with scouting off. A key of this page follows the namespace of the run
   client below does. Orders `off` and `stop` with a fresh stamp are obeyed even if their `sequence` is older than one already
   received, unless it is not newer than that holder's last stop.
 - Transforms `T_a_b` are 4 × 4 and map coordinates of frame b to frame a: {{world}} is fixed where the robot started, z up,
-  {{odom}} is the estimate by the legs alone, {{body}} moves with the robot, x forward, y left, z up.
+  {{odom}} is the estimate by the legs alone, {{body}} moves with the robot, x forward, y left, z up. {{odom}} begins anew
+  whenever the robot has stood up ([Odometry](#actuatorodometry-odometry)).
 - `sextant topics echo KEY` prints messages, `sextant topics hz` measures rates and bandwidth.
+- A program of your own may publish under any other key, such as `{namespace}_survey/ground`: no service reads it, and `sextant
+  record` does not record it. Choose a first word other than the namespace, below which a later version may add topics. A router
+  with `--keys` or `--open` passes messages of other machines only under the keys of the table, with a certificate only those of
+  its role ([access.md](access.md)). It drops all others without a report. Processes on its own machine may use any key.
 """
 _OF_FRAMES = """`schema` is the id that each message has below. The dtype of an array is in NumPy's notation: `<f8` is a
 little-endian float64, `|u1` a uint8, `|b1` a boolean of one byte. `began_ns` and `sent_ns` are the times at which the sender
@@ -70,7 +75,8 @@ For example, a velocity command:
 _OF_CLIENT = """## A client
 
 [walk_client.py](walk_client.py) needs `eclipse-zenoh` and `msgpack`, but not Sextant. It takes the lease, walks the robot
-and prints the robot's state; `sextant up all --scenario flat` starts a robot to try it on.
+and prints the robot's state; `sextant up all --scenario flat` starts a robot to try it on. `sextant topics list --json` has the
+schema and the fields of each message for programs, so that none has to copy the tables below.
 """
 
 
@@ -89,9 +95,8 @@ def page() -> str:
             *_frame(),
             *_client(),
             *_modes(said),
-            "## The messages",
-            "",
-            *(line for topic in topics.TOPICS if topic is topics.OF_TYPE[topic.type] for line in _message(topic, said)),
+            *_arrays(),
+            *(line for topic in topics.TOPICS if topic is topics.OF_TYPE[topic.type] for line in _message(topic)),
         )
     )
 
@@ -99,14 +104,14 @@ def page() -> str:
 def _table(written: Mapping[str, list[str]], read: Mapping[str, list[str]]) -> Iterator[str]:
     yield "## The keys"
     yield ""
-    yield "| key | message | rate, Hz | delivery | lane | at most, KiB | published by | subscribed by | over the radio |"
+    yield "| key | message | rate | delivery | lane | at most, KiB | published by | subscribed by | over the radio |"
     yield "|---|---|---|---|---|---|---|---|---|"
     for topic in topics.TOPICS:
         name = topic.type.__name__
         cells = (
             f"`{topic.key}`",
             f"[{name}](#{topics.OF_TYPE[topic.type].key.replace('/', '')}-{name.lower()})",
-            f"{topic.rate_hz:g}",
+            topic.rate,
             topic.delivery.value,
             topic.lane.value,
             f"{topic.max_bytes / 1024:g}",
@@ -223,7 +228,20 @@ def _modes(said: Mapping[tuple[str, str], str]) -> Iterator[str]:
     yield ""
 
 
-def _message(topic: AnyTopic, said: Mapping[tuple[str, str], str]) -> Iterator[str]:
+def _arrays() -> Iterator[str]:
+    """Yield the lines before the messages: the order of fields, legs and joints."""
+    profile = load_profile("phantomx_mk2")
+    yield "## The messages"
+    yield ""
+    yield "The fields are in the order of the frame. An array of six has an entry, or a row, for each leg:"
+    yield f"{', '.join(LEGS)}."
+    yield f"The columns of joint angles and torques are {', '.join(JOINTS)}, those of points x, y, z."
+    yield "A foot is a sphere: `feet` and `touchdown` are its centre, `touchdown_point` is on its underside, lower by"
+    yield f"the profile's `foot.radius` ({1000 * profile.foot.radius:g} mm for `{profile.name}`)."
+    yield ""
+
+
+def _message(topic: AnyTopic) -> Iterator[str]:
     kind = topic.type
     yield f"### {topic.key} {kind.__name__}"
     yield ""
@@ -233,50 +251,8 @@ def _message(topic: AnyTopic, said: Mapping[tuple[str, str], str]) -> Iterator[s
     yield ""
     yield "| field | type | shape | unit | frame | what |"
     yield "|---|---|---|---|---|---|"
-    for name, base, detail in messages.schema(kind):
-        meaning = _meaning(name, said.get((_declared_in(kind, name), name), ""))
-        type_, shape, limits = _type(base, detail)
-        what = "; ".join(words for words in (meaning.what, limits) if words).replace("|", "\\|")
-        yield f"| `{name}` | {type_} | {shape} | {meaning.unit} | {meaning.frame} | {what} |"
+    for row in field_rows(kind):
+        names = "the [modes](#modes)" if row.choices == tuple(Mode) else ", ".join(f"`{name}`" for name in row.choices)
+        what = "; ".join(filter(None, (row.what, names and f"one of {names}"))).replace("|", "\\|")
+        yield f"| `{row.name}` | {row.type} | {' × '.join(map(str, row.shape))} | {row.unit} | {row.frame} | {what} |"
     yield ""
-
-
-def _meaning(name: str, comment: str) -> Meaning:
-    """Parse a field's comment; a transform T_to_from has its frames in its name."""
-    unit, frame, what = parse(comment)
-    match name.split("_"):
-        case ["T", to, source] if to in _FRAMES and source in _FRAMES:
-            takes = f"takes {source} coordinates to {to}"
-            return Meaning(unit or "m", frame or to, f"{takes}; {what}" if what else takes)
-    return Meaning(unit, frame, what)
-
-
-def _type(base: Any, detail: Any) -> tuple[str, str, str]:
-    """Return type, shape and limits of a field as text."""
-    if base is np.ndarray:
-        dtype, dims = detail
-        return str(dtype), " × ".join(map(str, dims.shape)), _limits(dtype, dims)
-    if base is Literal:
-        return "text", "", f"one of {', '.join(f'`{one}`' for one in detail)}"
-    if base is tuple:
-        return "texts", f"≤ {messages.MAX_ITEMS}", ""
-    if issubclass(base, StrEnum):
-        return "text", "", "one of the [modes](#modes)" if base is Mode else f"one of {', '.join(f'`{one}`' for one in base)}"
-    return _NAMES[base], "", ""
-
-
-def _limits(dtype: np.dtype[Any], dims: Dims) -> str:
-    low, high = dims.lengths or (0, 0)
-    words = (
-        "may hold NaN" if dtype.kind == "f" and not dims.finite else "",
-        f"at most {dims.most}" if dims.most is not None else "",
-        f"{low} to {high} of them" if dims.lengths else "",
-        "may be empty" if dims.optional else "",
-        "packed" if dims.packed else "",
-    )
-    return ", ".join(filter(None, words))
-
-
-def _declared_in(kind: type[Message], name: str) -> str:
-    """Return the name of the class that declares a field."""
-    return next(base.__name__ for base in kind.__mro__ if name in inspect.get_annotations(base))

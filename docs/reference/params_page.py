@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from docs.reference.field_comments import comments_of, parse
 from sextant.evaluation.params import SystemParams
+from sextant.shared.field_comments import comments_of, parse
 from sextant.shared.files import config
 from sextant.shared.params import Params
 from sextant.shared.runtime.process import toml_value

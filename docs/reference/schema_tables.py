@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import date
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from docs.reference.field_comments import comments_of, parse
+from sextant.shared.field_comments import comments_of, parse
 from sextant.shared.files import config
 from sextant.shared.runtime.process import toml_value
 

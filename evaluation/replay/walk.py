@@ -3,7 +3,6 @@
 The results are compared with the recorded ones.
 """
 
-import difflib
 import heapq
 import itertools
 import math
@@ -351,13 +350,10 @@ def _fed(only: Sequence[str]) -> frozenset[str]:
     Raises:
         ReplayError: A key is not in the topic table.
     """
-    known = [topic.key for topic in topics.TOPICS]
-    for key in only:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            instead = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
-            raise ReplayError(f"--only: no topic {key!r}; {instead}")
-    return frozenset(only)
+    try:
+        return frozenset(topics.topic_named(key).key for key in only)
+    except ValueError as error:
+        raise ReplayError(f"--only: {error}") from None
 
 
 def _last_of_each_step(plans: Iterable[StepPlan]) -> dict[tuple[int, int, bytes], StepPlan]:

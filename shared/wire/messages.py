@@ -179,11 +179,16 @@ class Imu(Message):
 
 @dataclass(frozen=True, slots=True)
 class Odometry(Message):
-    """Leg odometry from the stance legs' joints; actuator -> perception, planner."""
+    """Leg odometry from the stance legs' joints; actuator -> perception, planner.
+
+    {odom} begins anew, with its origin on the ground below the body, x ahead: when the actuator starts, when the robot has
+    stood up, and when the legs go on after the servo bus or the actuator was interrupted. `epoch` of ActuatorState changes
+    with it.
+    """
 
     T_odom_body: Pose
-    path_length: float  # [m] path length so far
-    total_rotation: float  # [rad] summed absolute heading change so far
+    path_length: float  # [m] horizontal path length since {odom} began
+    total_rotation: float  # [rad] summed absolute heading change since {odom} began
     stance: LegFlags  # legs that the odometry used as stance legs
     reliable: bool  # False while fewer than three legs carry load
 
@@ -195,7 +200,7 @@ class ActuatorState(Message):
     mode: Mode
     reason: str  # of this mode
     lease: str  # holder that may move the legs; empty when the lease is free
-    epoch: int  # of {odom}; plans of an earlier epoch are refused
+    epoch: int  # [ns] when {odom} began, see Odometry; plans of another epoch are refused
     speed_scale: float  # [1] share of normal speed that the servos can sustain
     plan_refusal: str  # why the last plan was refused; empty if it was accepted, or 1 s after it
     refused_plan_ns: int  # [ns] stamp of the newest plan that the legs cannot execute; -1 for none

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from sextant.shared import spelling
 from sextant.shared.wire import messages as m
 
 M = TypeVar("M", bound=m.Message)
@@ -52,11 +53,17 @@ class Topic(Generic[M]):
     lane: Lane
     max_bytes: int  # larger frames are refused without decoding
     latency_s: float
+    more: str = ""  # what is sent besides `rate_hz`, as text
 
     @property
     def fresh_for_ns(self) -> int:
         """Age [ns] from which a message is stale: three periods."""
         return int(3e9 / self.rate_hz)
+
+    @property
+    def rate(self) -> str:
+        """Rate as text, such as "25 Hz and at each change"."""
+        return f"{self.rate_hz:g} Hz{self.more}"
 
     def address(self, namespace: str) -> str:
         """Return the key with a robot's namespace as its prefix.
@@ -67,6 +74,7 @@ class Topic(Generic[M]):
 
 
 _KIB = 1024
+_CHANGES = " and at each change"
 
 DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.010)
 COLOR = Topic("camera/color", m.ColorImage, 5.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.015)
@@ -74,7 +82,7 @@ CAMERA_STATE = Topic("camera/state", m.CameraState, 4.0, Delivery.LATEST, Lane.C
 PREVIEW = Topic("camera/preview", m.Preview, 5.0, Delivery.LATEST, Lane.BULK, 300 * _KIB, 0.010)
 IMU = Topic("imu", m.Imu, 100.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.013)
-ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.015)
+ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.015, _CHANGES)
 BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.010)
 SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.012)
 SCAN_RECEIPT = Topic("mapper/receipt", m.ScanReceipt, 15.0, Delivery.LATEST, Lane.CONTROL, 1 * _KIB, 0.004)
@@ -94,17 +102,18 @@ FAULT = Topic("simulator/fault", m.FaultCommand, 2.0, Delivery.EVERY, Lane.CONTR
 TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.009)
 
 
-def _per_role(key: str, type_: type[M]) -> Mapping[str, Topic[M]]:
+def _per_role(key: str, type_: type[M], sender: str) -> Mapping[str, Topic[M]]:
     """Return one topic per role.
 
     The access rules let a certificate publish only the key of its own role, so a subscriber knows the sender's role.
     """
-    rows = (Topic(f"{key}/{role}", type_, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003) for role in ROLE_NAMES)
+    limits = 64 * _KIB, 0.003, f" from each {sender}"
+    rows = (Topic(f"{key}/{role}", type_, 1.0, Delivery.EVERY, Lane.CONTROL, *limits) for role in ROLE_NAMES)
     return MappingProxyType(dict(zip(ROLE_NAMES, rows, strict=True)))
 
 
-HEALTH_OF = _per_role("health", m.Health)
-PRESENCE_OF = _per_role("machine/presence", m.Presence)
+HEALTH_OF = _per_role("health", m.Health, "process")
+PRESENCE_OF = _per_role("machine/presence", m.Presence, "machine")
 HEALTH, PRESENCE = HEALTH_OF["robot"], PRESENCE_OF["robot"]
 
 TOPICS: tuple[Topic[Any], ...] = (
@@ -144,6 +153,20 @@ def cells_that_fit(topic: Topic[Any]) -> int:
     layers = [(dtype, dims.shape) for dtype, dims in arrays if dims.shape[:2] in (("nx", "ny"), ("h", "w"))]
     per_cell = sum(dtype.itemsize * math.prod(shape[2:]) for dtype, shape in layers)
     return int((topic.max_bytes - _HEADER_BYTES) // per_cell)
+
+
+def topic_named(key: str, namespace: str = "sextant") -> Topic[Any]:
+    """Return the topic of a key, with or without the namespace as its prefix.
+
+    Raises:
+        ValueError: There is none; the text names the most similar key.
+    """
+    bare = key.removeprefix(f"{namespace}/")
+    for topic in TOPICS:
+        if topic.key == bare:
+            return topic
+    near = spelling.nearest(bare, (topic.key for topic in TOPICS))
+    raise ValueError(f"no topic {key!r}; {f'did you mean {near!r}? ' if near else ''}`sextant topics list` lists all topics")
 
 
 OF_TYPE = {topic.type: topic for topic in reversed(TOPICS)}  # the robot's topic where each role has its own

@@ -25,7 +25,8 @@ from sextant.evaluation.lockstep import lockstep_run
 from sextant.evaluation.report import Report, write
 from sextant.evaluation.trials import trials
 from sextant.shared.scenario.scenario import Scenario
-from sextant.shared.wire.messages import GaitName
+from sextant.shared.wire.codec import schema_id
+from sextant.shared.wire.messages import ActuatorState, GaitName, Mode, schema
 from sextant.shared.wire.topics import TOPICS
 
 ROOT = Path(cli.__file__).resolve().parents[1]
@@ -144,7 +145,22 @@ def test_topics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     assert all(topic.key in printed for topic in TOPICS)
     assert cli.main(["topics", "list", "--json"]) == 0
-    assert [row["key"] for row in json.loads(capsys.readouterr().out)] == [topic.key for topic in TOPICS]
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["key"] for row in rows] == [topic.key for topic in TOPICS]
+    state = next(row for row in rows if row["key"] == "actuator/state")
+    assert (state["schema"], state["rate"]) == (schema_id(ActuatorState), "25 Hz and at each change")
+    assert [field["name"] for field in state["fields"]] == [name for name, _, _ in schema(ActuatorState)]
+    fields = {field.pop("name"): field for field in state["fields"]}
+    assert fields["q"] | {"what": ""} == {
+        "type": "float64",
+        "shape": [6, 3],
+        "unit": "rad",
+        "frame": "",
+        "what": "",
+        "choices": [],
+    }
+    assert fields["T_odom_body"]["frame"] == "odom"
+    assert fields["mode"]["choices"] == list(Mode)
 
 
 def test_compose_prints_the_committed_file(capsys: pytest.CaptureFixture[str]) -> None:

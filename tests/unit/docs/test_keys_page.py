@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from docs.reference.field_comments import comments
+from sextant.shared.field_comments import comments
 from sextant.shared.wire import codec, messages
 from sextant.shared.wire.messages import Mode, ModeCommand, VelocityCommand
 from sextant.shared.wire.topics import OF_TYPE, TOPICS

@@ -12,9 +12,9 @@ import pytest
 from docs.reference import __main__ as reference
 from docs.reference import terrain_pictures
 from docs.reference.__main__ import PAGES, text_of
-from docs.reference.field_comments import comments_of, parse
 from docs.reference.schema_tables import tables_of
 from sextant.evaluation.report import Report
+from sextant.shared.field_comments import comments_of, parse
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import Course, Scenario
 

@@ -51,8 +51,14 @@ def terrain() -> TerrainMap:
 
 
 def test_default_topics_exclude_on_demand_topics() -> None:
-    assert {*topics_named([])} == {*TOPICS} - {*ONLY_BY_NAME}
-    assert topics_named(["camera/color", "imu", "imu"]) == (topics.COLOR, topics.IMU)
+    assert {*topics_named([], "sextant")} == {*TOPICS} - {*ONLY_BY_NAME}
+    assert topics_named(["camera/color", "imu", "imu"], "sextant") == (topics.COLOR, topics.IMU)
+
+
+def test_key_may_have_the_namespace_as_prefix_but_not_another_one() -> None:
+    assert topics_named(["site/imu", "imu", "site/camera/color"], "site") == (topics.IMU, topics.COLOR)
+    with pytest.raises(ValueError, match="no topic 'sextant/camera/color'; did you mean 'camera/color'"):
+        topics_named(["sextant/camera/color"], "site")
 
 
 @pytest.mark.parametrize(
@@ -61,7 +67,7 @@ def test_default_topics_exclude_on_demand_topics() -> None:
 )
 def test_unknown_key_is_refused_with_nearest_match(key: str, near: str) -> None:
     with pytest.raises(ValueError, match=f"did you mean '{near}'"):
-        topics_named(["imu", key])
+        topics_named(["imu", key], "sextant")
 
 
 # -------------------------------------------------------------------------------------------------------------- mailbox
@@ -92,6 +98,8 @@ def test_mailbox_keeps_newest_state_all_events_and_counts_frames(sent: list[Any]
     [
         (NOW - 20 * MS, NOW - 5 * MS, 20 * MS),
         (NOW - 20 * MS, 0, 20 * MS),  # without a time of sending the stamp counts
+        (NOW + MS, NOW - 5 * MS, 0),  # a simulator's stamp may lie slightly ahead
+        (NOW + S, NOW - 5 * MS, -S),
         (NOW - 20 * MS, NOW + 5 * MS, None),
         (NOW - 20 * MS, NOW - 11 * S, None),
         (7 * S, 0, None),
@@ -123,11 +131,20 @@ def test_small_array_is_printed_and_large_array_is_summarized() -> None:
     assert "3 skipped" in words
     assert "float32 (8, 8)  50 % finite, 0.14254 to 0.3" in words
     assert "bool (8, 8)  0 % true" in words
-    assert "float64 (2,)  [0. 0.]" in words
+    assert "float64 (2,)  [0 0]" in words
     odometry = message_format.in_words(ReceivedMessage(topics.ODOMETRY, frame_of(ODOMETRY), NOW, 0))
     assert "20 ms old" in odometry
     assert odometry.count("[") - 1 >= 4, "a row of the pose on each line"
     assert "skipped" not in odometry
+
+
+def test_small_numbers_are_printed_and_rounding_errors_are_not() -> None:
+    T_odom_body = np.eye(4)
+    T_odom_body[:3, 3] = 12.3456, 1.5e-6, 1e-17
+    lines = message_format.in_words(
+        ReceivedMessage(topics.ODOMETRY, frame_of(replace(ODOMETRY, T_odom_body=T_odom_body)), NOW, 0)
+    ).splitlines()
+    assert [line.split()[-1].rstrip("]") for line in lines if line.endswith("]")][-5:-1] == ["12.346", "1.5e-06", "0", "1"]
 
 
 def test_script_output_is_json_without_nan() -> None:
@@ -168,10 +185,20 @@ def test_rates_sizes_gaps_and_ages_match_frames() -> None:
     assert found["offboard", Lane.BULK] == topic_stats.Total(0.5, map_.bytes_per_s, 7.5 * topics.TERRAIN.max_bytes)
     words = topic_stats.in_words([odometry, map_, imu])
     assert "2.0, 50 Hz" in words
+    assert "*" not in words
     assert "another clock" in words
     assert "silent: imu" in words
     table = topic_stats.for_scripts([odometry, map_, imu], 2.0)
     assert json.loads(json.dumps(table)) == table
+
+
+def test_rates_of_topics_with_more_messages_are_explained() -> None:
+    counted = topic_stats.Rates((topics.HEALTH,))
+    for n in range(10):
+        counted.take(topics.HEALTH, b"", NOW + n * 100 * MS)
+    words = topic_stats.in_words(counted.rows(1.0))
+    assert "10.0, 1 Hz*" in words
+    assert "* health/robot 1 Hz from each process" in words
 
 
 def test_undecodable_frames_are_counted_and_reported() -> None:
