@@ -21,6 +21,7 @@ from sextant.evaluation.replay.error import ReplayError
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.service import Mapper
 from sextant.services.planner.config import Settings as PlannerSettings
+from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP
 from sextant.services.planner.service import Planner
 from sextant.shared.files import whole_files
 from sextant.shared.files.input_file import parse_json
@@ -34,6 +35,7 @@ from sextant.shared.wire.messages import ActuatorState, Message, StepPlan, Terra
 
 _SETTLE_NS = 500_000_000  # [ns] simulated time after the last frame, for messages in transit
 _SHOW_FRAMES = 5000
+_BEGINNING = "begin the recording while the robot stands, before its first walk"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +104,12 @@ def replay_recording(
         "complete": recording.complete,
         "topics": dict(sorted(counts.items())),
         "fed": sorted(replay.fed_keys),
-        "maps": {"made": len(replay.maps), "recorded": len(replay.recorded_maps), "compared": len(maps)},
+        "maps": {
+            "made": len(replay.maps),
+            "recorded": len(replay.recorded_maps),
+            "compared": len(maps),
+            "coverage_at_start": map_difference(maps[:5])["coverage"],
+        },
         "plans": {"made": len(replay.plans), "recorded": len(replay.recorded_plans), "compared": len(plans)},
         "pose_error_m": {"rms": None, "final": None},
         "map_error_m": map_difference(maps),
@@ -125,6 +132,11 @@ def problem_of(table: Mapping[str, Any], everything: bool = True, limits: Limits
         limits: For a live run.
     """
     maps, plans, error, off = table["maps"], table["plans"], table["map_error_m"], table["plan_error_m"]
+    if everything and plans["recorded"] and not plans["made"] and any(UNKNOWN_STEP in words for words in table["said"]):
+        return (
+            f"no plan was compared: {plans['recorded']} were recorded, 0 made now, because the recording begins during a step, "
+            f"and the planner waits for its end; {_BEGINNING}"
+        )
     if not (maps["compared"] or plans["compared"]):
         return (
             f"nothing was compared: {maps['recorded']} maps and {plans['recorded']} plans were recorded, {maps['made']} and "
@@ -132,8 +144,10 @@ def problem_of(table: Mapping[str, Any], everything: bool = True, limits: Limits
         )
     for name, found in (("map", maps), ("plan", plans)):
         if everything and found["recorded"] and not found["compared"]:
+            said = max(table["said"], key=lambda words: table["said"][words], default="")
+            mostly = f"the planner was mostly {said}; " if name == "plan" and said else ""
             return (
-                f"no {name} was compared: {found['recorded']} were recorded, {found['made']} made now; "
+                f"no {name} was compared: {found['recorded']} were recorded, {found['made']} made now; {mostly}"
                 f"`sextant recording info` shows whether the recording has the topics that they are made of"
             )
     exact = everything and table["about"].get("run") == "lockstep"
@@ -145,6 +159,12 @@ def problem_of(table: Mapping[str, Any], everything: bool = True, limits: Limits
     )
     if maps["compared"] and (error["rmse"] is None or error["coverage"] < allowed.map_coverage):
         known = 0.0 if error["rmse"] is None else error["coverage"]
+        at_start = maps["coverage_at_start"]
+        if not exact and at_start is not None and at_start < allowed.map_coverage:
+            return (
+                f"only {known:.1%} of the recorded cells are known now, {allowed.map_coverage:.0%} expected, because the robot "
+                f"had mapped ground before the recording began; {_BEGINNING}"
+            )
         return f"only {known:.1%} of the recorded cells are known now, {allowed.map_coverage:.0%} expected; {advice}"
     if maps["compared"] and error["rmse"] > allowed.map_rmse_m:
         found_mm, allowed_mm = 1e3 * error["rmse"], 1e3 * allowed.map_rmse_m

@@ -37,10 +37,11 @@ def field_rows(kind: type[Message]) -> list[FieldRow]:
     for name, base, detail in messages.schema(kind):
         declared_in = next(one.__name__ for one in kind.__mro__ if name in inspect.get_annotations(one))
         meaning = _meaning(name, said.get((declared_in, name), ""))
-        dtype, dims = detail if base is np.ndarray else (None, None)
-        limits = _limits(dtype, dims) if dims else f"at most {messages.MAX_ITEMS}" if base is tuple else ""
-        what = "; ".join(words for words in (meaning.what, limits) if words)
-        shape, type_ = (dims.shape, str(dtype)) if dims else ((), _NAMES.get(base, "text"))
+        type_, shape, limits = _NAMES.get(base, "text"), (), f"at most {messages.MAX_ITEMS}" if base is tuple else ""
+        if base is np.ndarray:
+            dtype, dims = detail
+            type_, shape, limits = str(dtype), dims.shape, _limits(dtype, dims)
+        what = "; ".join(filter(None, (meaning.what, limits)))
         rows.append(FieldRow(name, type_, shape, meaning.unit, meaning.frame, what, _choices(base, detail)))
     return rows
 

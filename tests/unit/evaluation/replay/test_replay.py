@@ -18,6 +18,7 @@ from sextant.evaluation.replay.walk import in_words, map_difference, problem_of,
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception import tum
+from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP
 from sextant.shared.geometry import exp_se3, from_xyz_rpy, transform
 from sextant.shared.recording.writer import Recorder
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
@@ -203,7 +204,9 @@ def replay_table(**changed: Any) -> dict[str, Any]:
     error = {"rmse": 0.0, "bias": 0.0, "p95": 0.0, "coverage": 1.0}
     off = {"touchdown_p50": 0.0, "touchdown_p95": 0.0, "touchdown_max": 0.0, "body_max": 0.0}
     counts = {"made": 20, "recorded": 10, "compared": 10}
-    whole = {"about": {"run": "lockstep"}, "maps": counts, "plans": counts, "map_error_m": error, "plan_error_m": off}
+    maps, said = counts | {"coverage_at_start": 1.0}, {"stepping": 9}
+    of_run = {"about": {"run": "lockstep"}, "said": said}
+    whole = of_run | {"maps": maps, "plans": counts, "map_error_m": error, "plan_error_m": off}
     return {key: {**value, **changed.get(key, {})} for key, value in whole.items()}
 
 
@@ -215,6 +218,14 @@ def replay_table(**changed: Any) -> dict[str, Any]:
         ({"maps": {"compared": 0}}, "no map was compared: 10 were recorded, 20 made"),
         ({"plans": {"compared": 0}}, "no plan was compared"),
         ({"plans": {"compared": 0, "recorded": 0}}, ""),
+        (
+            {"plans": {"compared": 0, "made": 0}, "said": {f"waiting: {UNKNOWN_STEP}": 62}},
+            "no plan was compared: 10 were recorded, 0 made now, because the recording begins during a step.*robot stands",
+        ),
+        (
+            {"about": {"run": "live"}, "maps": {"coverage_at_start": 0.4}, "map_error_m": {"coverage": 0.6}},
+            "only 60.0% of the recorded cells .* had mapped ground before the recording began; begin .* before its first walk",
+        ),
         ({"map_error_m": {"rmse": 0.0004}}, "maps are 0.4 mm rms off"),
         ({"map_error_m": {"coverage": 0.99}}, "only 99.0% of the recorded cells"),
         ({"map_error_m": {"rmse": None, "coverage": None}}, r"only 0.0% of the recorded cells"),

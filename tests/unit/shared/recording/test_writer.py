@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,15 +9,17 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.recording.layout import RecordingError, describe
 from sextant.shared.recording.reader import Recording, read
 from sextant.shared.recording.writer import Recorder
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import DepthImage, Health, Message, Mode, Scan
+from sextant.shared.wire.messages import BodyPose, DepthImage, Health, Message, Mode, Scan
 from tests.support.frames import of_another_version
 from tests.support.recorded import S, some_messages, terrain, velocity
 
+PAGE = Path(__file__).parents[4] / "docs" / "recordings.md"
 ABOUT = {"scenario": "steps", "seed": "3"}
 
 
@@ -37,6 +40,16 @@ def test_messages_are_read_back_in_order(tmp_path: Path) -> None:
     assert [(t, at) for t, _, at in found] == [(t, at) for t, _, at in written]
     assert all(same(a, b) for (_, a, _), (_, b, _) in zip(found, written, strict=True))
     assert [t for t, _, _ in read(tmp_path / "r.mcap", [topics.MODE])] == [topics.MODE] * 40
+
+
+def test_python_in_docs_reads_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert '"runs/RUN/recording.mcap"' in code
+    T_world_body = from_xyz_rpy((1.0, 0.5, 0.11), np.zeros(3))
+    pose = BodyPose(2 * S, T_world_body, np.eye(4), np.zeros((6, 6)), 1.0, True, "", np.zeros((0, 6)))
+    write(tmp_path / "r.mcap", [*some_messages(), (topics.BODY_POSE, pose, 2 * S)])
+    exec(code.replace("runs/RUN/recording.mcap", str(tmp_path / "r.mcap")), {})
+    assert capsys.readouterr().out.endswith("2.00 s: the body is at 1.000, 0.500, 0.110 m in {world}\n")
 
 
 def test_recording_without_role_keys_is_read_as_robot(tmp_path: Path) -> None:
