@@ -100,7 +100,7 @@ def test_commissioning_tutorial_runs_as_written(
     status, told = run(again, plug, "q")
     assert told.startswith("2 of 18 servos have their ids")
     assert "servo 2 (right front coxa) is set" in told
-    assert emulators[-1].type("list").startswith("3 servos are plugged in: 2, 3, 5; 15 are not")
+    assert emulators[-1].type("list").startswith("3 servos are plugged in: 2, 3, 5; 15 not")
     assert emulators[-1].quit() == 0
 
     emulators.append(Emulator(robot))

@@ -24,6 +24,10 @@ from sextant.shared.robot.camera import DepthSensor, Intrinsics
 LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 JOINTS = ("coxa", "femur", "tibia")
 GRAVITY = 9.81  # [m/s^2]
+# Limits of any step, which the actuator verifies:
+MAX_TRAVEL_M = 0.20  # [m] of the body in one step
+MAX_CLEARANCE_M = 0.12  # [m] of a swinging foot over both ends of its path
+MIN_MARGIN_M = 0.005  # [m] of the centre of mass inside the polygon of standing feet
 MAX_TRIM_DEG = 20.0  # a larger trim means that the horn is on the wrong notch, or that the pose was wrong
 WARM_K = 12.0  # [K] below the temperature limit of the servos, from where the robot walks slower
 _SERVO_RANGE_DEG = 150.0  # in both directions from tick 512
@@ -141,8 +145,10 @@ class Battery:
 class Body:
     """Trunk of the robot as a box, and the masses of the robot."""
 
-    size: tuple[float, float, float]  # [m] length, width, height
-    mass: float  # [kg] everything except the legs
+    # [m] length, width, height of the box that must not touch the ground. For a round trunk, length and width are 0.9 of its
+    # diameter: the square of the same area.
+    size: tuple[float, float, float]
+    mass: float  # [kg] of the robot without the six legs; the coxa servos are in the trunk and count here
     leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
     # [m] {body} centre of `mass`, including battery, computer and camera. To measure it, hang up the trunk from two points.
     centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -204,11 +210,16 @@ class Stance:
 
     checks = (
         *config.each(
-            "foot_radius_from_coxa body_height body_height_range stride search_radius max_climb rough_lift max_lift",
+            "foot_radius_from_coxa body_height body_height_range search_radius max_climb rough_lift",
             lambda length: 0 < length <= 10,
             "more than 0 and at most 10 m",
         ),
-        *config.each("foot_distance support_margin", lambda length: 0 <= length <= 10, "0 to 10 m"),
+        *config.each("max_lift", lambda lift: 0 < lift <= MAX_CLEARANCE_M, f"more than 0 and at most {MAX_CLEARANCE_M} m"),
+        *config.each("stride", lambda length: 0 < length <= MAX_TRAVEL_M, f"more than 0 and at most {MAX_TRAVEL_M} m"),
+        *config.each("foot_distance", lambda length: 0 <= length <= 10, "0 to 10 m"),
+        *config.each(
+            "support_margin", lambda length: MIN_MARGIN_M < length <= 10, f"more than {MIN_MARGIN_M} and at most 10 m"
+        ),
         *config.each("max_speed foot_speed", lambda speed: 0 < speed <= 100, "more than 0 and at most 100 m/s"),
         *config.each("step_s", lambda duration: 0.4 <= duration <= 2.0, "0.4 to 2 s"),
         config.together(

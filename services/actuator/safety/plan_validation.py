@@ -10,17 +10,14 @@ from numpy.typing import NDArray
 from sextant.services.actuator.config import SHORTEST_STEP_S
 from sextant.shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
-from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, MAX_CLEARANCE_M, MAX_TRAVEL_M, MIN_MARGIN_M, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 from sextant.shared.wire.messages import StepPlan
 
 FURTHEST = 1e6  # [m] from the origin of {world}
-MAX_TRAVEL = 0.20  # [m] of the body in one step
 MAX_TILT = np.radians(15.0)
 MAX_TURN = np.radians(25.0)
 DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
-MAX_CLEARANCE = 0.12  # [m]
-MIN_MARGIN = 0.005  # [m] of the centre of mass inside the polygon of standing feet
 MEAN_SPEED = 0.9  # largest mean joint speed, as a share of the servo's top speed: a swing accelerates and decelerates
 GATHERED_S = 0.55  # [s] of a motion at that speed: acceleration takes 8 % of that time, and at least 0.04 s
 FLIES_AT = 0.8  # share of its clearance, between rise and fall
@@ -108,9 +105,9 @@ class PlanCheck:
             return f"only {len(standing)} legs would stand, three are needed"
         for where, body in (("at the start", T_odom_body), ("at the end", T_odom_world @ plan.body_goal)):
             margin = support_margin(standing[:, :2], apply(body, self._centre)[:2])
-            if margin < MIN_MARGIN:
+            if margin < MIN_MARGIN_M:
                 place = f"{abs(margin) * 1e3:.1f} mm {'inside' if margin > 0.0 else 'outside'} the support polygon {where}"
-                return f"the centre of mass would be {place}, {MIN_MARGIN * 1e3:.0f} mm inside needed"
+                return f"the centre of mass would be {place}, {MIN_MARGIN_M * 1e3:.0f} mm inside needed"
         return ""
 
     def _too_fast(self, plan: StepPlan, T_odom_body: Array, feet: Array, air_s: Array | None) -> str:
@@ -198,13 +195,13 @@ def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
     """Return which limit of a step the plan exceeds, or an empty string."""
     move = inverse(T_odom_body) @ inverse(plan.T_world_odom) @ plan.body_goal
     travel, (roll, pitch, yaw) = float(np.linalg.norm(move[:3, 3])), rpy_from_rotation(move[:3, :3])
-    if travel > MAX_TRAVEL:
-        return f"the body would travel {travel:.2f} m in one step, at most {MAX_TRAVEL} m allowed"
+    if travel > MAX_TRAVEL_M:
+        return f"the body would travel {travel:.2f} m in one step, at most {MAX_TRAVEL_M} m allowed"
     if max(abs(roll), abs(pitch)) > MAX_TILT or abs(yaw) > MAX_TURN:
         return f"the body would turn by {np.degrees([roll, pitch, yaw]).round(1).tolist()} deg in one step"
     if not DURATION[0] <= plan.duration <= DURATION[1]:
         return f"a step of {DURATION[0]} to {DURATION[1]} s expected, found {plan.duration:.2f} s"
-    if plan.clearance.min() < 0 or plan.clearance.max() > MAX_CLEARANCE:
+    if plan.clearance.min() < 0 or plan.clearance.max() > MAX_CLEARANCE_M:
         found = f"{plan.clearance.min():.3f} to {plan.clearance.max():.3f} m"
-        return f"clearances of 0 to {MAX_CLEARANCE} m expected, found {found}"
+        return f"clearances of 0 to {MAX_CLEARANCE_M} m expected, found {found}"
     return ""

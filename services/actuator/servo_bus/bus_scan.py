@@ -264,9 +264,12 @@ def unreachable(missing: Collection[int], names: Mapping[int, str]) -> dict[int,
         ahead = max((k + 1 for k, i in enumerate(chain) if i not in missing), default=0)
         for i in (i for i in chain[:ahead] if i in missing):
             words = f"{named(i, names)} does not answer, but the servo behind it does"
-            found[i] = Problem(
-                words, f"the chain is intact, so check its id and baud rate: {SET_ID}; on a hub, check its cable"
-            )
+            advice = f"the chain is intact, so check its id and baud rate: {SET_ID}; on a hub, check its cable"
+            if i == FACTORY_ID and whole:
+                advice = (
+                    f"if it is not set up yet: `set-id` does this last, since new servos have id {FACTORY_ID}; else {advice}"
+                )
+            found[i] = Problem(words, advice)
         silent = chain[ahead:]
         if leg not in whole and silent:
             place = f"between the {names[chain[ahead - 1]]} and the {names[silent[0]]}" if ahead else "of this servo"

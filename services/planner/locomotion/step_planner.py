@@ -276,7 +276,10 @@ class StepPlanner:
         too_high = np.flatnonzero(at.swing & (clearance > self._profile.stance.max_lift))
         if len(too_high):
             leg = int(too_high[0])
-            return NoStep(f"{LEGS[leg]} leg: an obstacle on the foot's path needs {clearance[leg] * 100:.0f} cm of lift", leg)
+            (x, y), (x_end, y_end) = at.feet[leg, :2], touchdown[leg, :2]
+            words = f"{LEGS[leg]} leg: to pass the ground between ({x:.2f}, {y:.2f}) and ({x_end:.2f}, {y_end:.2f}) m"
+            highest_m = self._profile.stance.max_lift
+            return NoStep(f"{words} its foot must rise {clearance[leg]:.2f} m, max_lift allows {highest_m:g} m", leg)
         way = StepMotion(at.feet, touchdown, at.T_world_body, T_end, at.swing)
         highest = self._profile.stance.max_lift
         lifted = find_clearances(way, clearance, params.leg_margin_m, foot_margin, highest, self._profile, terrain)

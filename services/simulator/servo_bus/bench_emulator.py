@@ -133,7 +133,8 @@ class BenchEmulator(ServoBusEmulator):
         elif words != ["list"]:
             raise ValueError(f"one of {HELP} expected, found {line.strip()!r}")
         ids = sorted(self._value(row, dxl.ID) for row in self._plugged)
-        return f"{len(ids)} servos are plugged in: {', '.join(map(str, ids)) or 'none'}; {len(self.unplugged)} are not"
+        plugged = f"{len(ids)} {'servo is' if len(ids) == 1 else 'servos are'} plugged in"
+        return f"{plugged}: {', '.join(map(str, ids)) or 'none'}; {len(self.unplugged)} not"
 
     def _with_id(self, servo_id: int) -> list[int]:
         return [row for row in range(len(self._servos)) if self._value(row, dxl.ID) == servo_id]

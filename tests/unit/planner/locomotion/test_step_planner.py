@@ -285,8 +285,8 @@ def test_obstacle_higher_than_max_lift_blocks_step(make_terrain: Maker) -> None:
     found = PLANNER.plan(at, ring)
     assert isinstance(found, NoStep)
     assert found.leg == 0
-    assert "left front leg: an obstacle on the foot's path needs" in found.reason
-    assert "cm of lift" in found.reason
+    assert "left front leg: to pass the ground between (" in found.reason
+    assert "max_lift allows 0.11 m" in found.reason
 
 
 @pytest.mark.parametrize("even", [True, False])

@@ -64,13 +64,13 @@ def test_horn_misalignment_follows_seed() -> None:
 def test_new_servos_can_be_plugged_in_and_unplugged() -> None:
     made = bench(fresh=True)
     assert answers(made, dxl.ping(1), 0) == []
-    assert made.execute("plug") == "1 servos are plugged in: 1; 17 are not"
+    assert made.execute("plug") == "1 servo is plugged in: 1; 17 not"
     assert len(answers(made, dxl.ping(1), 10 * MS)) == 1
     made.receive(dxl.write(1, dxl.ID.address, b"\x05"), 20 * MS)
-    assert made.execute("plug 2") == "3 servos are plugged in: 1, 1, 5; 15 are not"
-    assert made.execute("unplug 1") == "2 servos are plugged in: 1, 5; 16 are not"
-    assert made.execute("unplug 1") == "1 servos are plugged in: 5; 17 are not"
-    assert made.execute("unplug") == "0 servos are plugged in: none; 18 are not"
+    assert made.execute("plug 2") == "3 servos are plugged in: 1, 1, 5; 15 not"
+    assert made.execute("unplug 1") == "2 servos are plugged in: 1, 5; 16 not"
+    assert made.execute("unplug 1") == "1 servo is plugged in: 5; 17 not"
+    assert made.execute("unplug") == "0 servos are plugged in: none; 18 not"
     assert answers(made, dxl.ping(5), 30 * MS) == []
 
 
