@@ -195,7 +195,8 @@ def _print_zenoh(gated: "Gate") -> int:
 
 def asked(launch: Launch) -> "tuple[tuple[Process, ...], Choices, dict[str, tuple[str, ...]]]":
     """Return the requested processes, their settings, and further settings by name."""
-    rows, chosen = _rows(launch), _choices(launch)
+    rows = _rows(launch)
+    chosen = _choices(launch, any(row.name == "simulator" for row in rows))
     device = _camera(launch.camera, chosen.robot, rows)
     if device == "none":
         rows = tuple(row for row in rows if row.side != "device")
@@ -255,7 +256,7 @@ def _usual(launch: Launch) -> str:
     return f"tcp/127.0.0.1:{free_port()}"  # a second machine's processes on the same machine
 
 
-def _choices(launch: Launch) -> "Choices":
+def _choices(launch: Launch, simulated: bool) -> "Choices":
     from sextant.deploy.launch.process_table import Choices, choices
     from sextant.shared.scenario.scenario import load_scenario
     from sextant.shared.wire.ports import free_port
@@ -266,8 +267,13 @@ def _choices(launch: Launch) -> "Choices":
     source = launch.scenario or "steps"
     if source.endswith(".toml"):
         source = str(Path(source).resolve())
-    chosen = choices(load_scenario(source), source, launch.seed)
+    scenario = load_scenario(source)
+    chosen = choices(scenario, source, launch.seed)
     chosen = replace(chosen, robot=robot) if robot else chosen
+    if simulated:
+        from sextant.services.simulator.scenario_validation import check_scenario
+
+        check_scenario(scenario, launch.seed, chosen.robot)
     # If both ends of the simulated servo bus start here, any free port will do, so two sets on one machine do not clash.
     return replace(chosen, bus_port=free_port()) if launch.role in ("all", "onboard") else chosen
 

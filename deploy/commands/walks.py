@@ -228,6 +228,10 @@ def _run_live(
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.runtime.shutdown import end_with
 
+    if not attach:
+        from sextant.services.simulator.scenario_validation import check_scenario
+
+        check_scenario(walk.scenario, walk.seed, walk.scenario.robot)
     if windows.viewer and not has_display():
         raise InputError("--viewer: a display expected, found none; leave it out, and watch the operator's page in a browser")
     progress = open_progress(walk.as_json)

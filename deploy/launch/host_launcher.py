@@ -135,6 +135,8 @@ class HostLauncher:
 
 
 def _ended_for_good(ended: Ended) -> str:
+    if ended.how == "exit status 2":  # wrong input, which it has explained
+        return f"{ended.name} does not start with this input, see above; stopping all processes"
     return f"{ended.name} keeps failing; stopping all processes; `sextant doctor` checks what they need"
 
 

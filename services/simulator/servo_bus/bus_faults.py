@@ -83,6 +83,17 @@ class _Running:
         return 0 if share >= 1.0 else int(math.log(1.0 - self.rng.random()) / math.log(1.0 - share))
 
 
+def row_of(fault: BusFault, ids: Sequence[int]) -> int:
+    """Return the index of a fault's servo among all ids; -1 without a servo.
+
+    Raises:
+        ValueError: The servo does not exist.
+    """
+    if fault.servo >= 0 and fault.servo not in ids:
+        raise ValueError(f"{fault}: one of the servos {', '.join(map(str, sorted(ids)))} expected, found {fault.servo}")
+    return ids.index(fault.servo) if fault.servo >= 0 else -1
+
+
 class BusFaults(AnswersOnly):
     """Bus with faults, which has the interface of `ServoBusEmulator`."""
 
@@ -117,13 +128,7 @@ class BusFaults(AnswersOnly):
         Raises:
             ValueError: The fault names a servo that does not exist.
         """
-        row = -1
-        if fault.servo >= 0:
-            ids = self._bank.tables[:, dxl.ID.address].tolist()
-            if fault.servo not in ids:
-                known = ", ".join(map(str, sorted(ids)))
-                raise ValueError(f"{fault}: one of the servos {known} expected, found {fault.servo}")
-            row = ids.index(fault.servo)
+        row = row_of(fault, self._bank.tables[:, dxl.ID.address].tolist())
         begin_ns = max(round(fault.at_s * _SEC), self._simulated(now_ns))
         end_ns = begin_ns + round(fault.for_s * _SEC)
         rng = Random(f"{self._seed} {self._injected}")

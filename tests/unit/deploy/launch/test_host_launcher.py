@@ -131,6 +131,9 @@ def test_late_process_failure_keeps_actuator_and_stop_running(link: FakeLink) ->
         assert running.beat(0.0) == ""
         FakeLauncher.ended = [Ended("actuator", "exit status 1", "", restarted=False)]
         assert "actuator keeps failing" in running.beat(0.0)
+    with make_host_launcher("onboard", ()) as running:
+        FakeLauncher.ended = [Ended("actuator", "exit status 2", "actuator: no such port", restarted=False)]
+        assert "actuator does not start with this input, see above" in running.beat(0.0)
 
 
 def test_console_claim_cannot_prevent_robot_start(link: FakeLink) -> None:
