@@ -30,7 +30,7 @@ def main(name: str = "steps", seeds: str = "5", out: str = "runs/compare_rules")
         rate = found.success
         print(
             f"{label}: {rate.successes} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %), "
-            f"{100 * found.missteps_per_step:.1f} % missteps"
+            f"{found.all_missteps} missteps in {found.all_steps} steps"
         )
 
 

@@ -43,7 +43,6 @@ def trials(
 
     progress = open_progress(as_json)
     say_if_it_compiles(progress)
-    progress.say(f"{course.name}: {len(seeds)} seeds, {jobs} at a time; a line follows for each walk that ends")
     baseline = None
     with explained_interrupts(lambda: _kept(folder, "trials.jsonl")):
         seeing = batches.run_trials(course, seeds, jobs, folder, say=progress.say)
@@ -113,15 +112,17 @@ def _campaign(
     type=Choice(("markdown", "csv", "latex")),
     default="markdown",
 )
+@option("--columns", "columns to print, by their headings without units (default: all)", "A,B,...", default="")
 @flag("--json", "print all of it as JSON", "as_json")
-def table(kept: tuple[str, ...], of: str, style: str, as_json: bool) -> int:
+def table(kept: tuple[str, ...], of: str, style: str, columns: str, as_json: bool) -> int:
     """Print a table of stored trials without running anything."""
     from sextant.evaluation.trials import campaign_table as tables
     from sextant.evaluation.trials import passage_table, results_store
-    from sextant.evaluation.trials.table_text import FORMATS
+    from sextant.evaluation.trials.table_text import FORMATS, selected
 
-    if as_json and style != "markdown":
-        raise InputError(f"one of --json and --format {style} expected, found both")
+    if as_json and (columns or style != "markdown"):
+        other = "--columns" if columns else f"--format {style}"
+        raise InputError(f"one of --json and {other} expected, found both")
     paths = results_store.files([Path(place) for place in kept])
     runs = [run for path in paths for run in results_store.read(path)]
     if not runs:
@@ -129,6 +130,8 @@ def table(kept: tuple[str, ...], of: str, style: str, as_json: bool) -> int:
     if as_json:
         say(tables.to_json(tables.of_runs(runs)).rstrip("\n"))
         return SUCCESS
-    found = passage_table.content(runs) if of == "sections" else tables.content(tables.of_runs(runs), of)
+    seeds = bool(columns) or style == "csv"
+    found = passage_table.content(runs) if of == "sections" else tables.content(tables.of_runs(runs), of, seeds)
+    found = selected(found, columns.split(",")) if columns else found
     say(FORMATS[style](found).rstrip("\n"))
     return SUCCESS

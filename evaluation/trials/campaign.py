@@ -63,12 +63,11 @@ def run_campaign(
             say(f"{name} is skipped: {lacking}")
             continue
         folder = out / name
-        say(f"{name}, {len(wanted)} seeds")
         runner = run or _Leaving(wanted[0], folder / f"seed-{wanted[0]}")
         seeing = batches.run_trials(scenario, wanted, jobs, folder, say=say, run=runner, keep_in=keep_in)
         baseline = None
         if blind:
-            say(f"{name} without a map")
+            say("now the same seeds without a map")
             runner = run or _Leaving(wanted[0], folder / f"seed-{wanted[0]}-blind")
             baseline = batches.run_trials(scenario, wanted, jobs, folder, blind=True, say=say, run=runner, keep_in=keep_in)
         entries.append(Entry(seeing, baseline))

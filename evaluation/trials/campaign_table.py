@@ -1,7 +1,7 @@
 """Success rates per terrain as a table, of a new campaign or of stored runs."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,13 +47,14 @@ TROUBLES: Mapping[str, str] = {
 TROUBLED: Mapping[str, str] = {
     f"{course}+{trouble}": words for trouble, words in TROUBLES.items() for course in ("steps", "stairs", "cobbles")
 }
+_OWN = {"foothold": "Sextant's foothold rule", "planner": "Sextant's step planner", "registration": "Sextant's registration"}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
 _WALKS: Columns = {
     "goal reached": lambda t: _outcome(t),
     "falls": lambda t: str(t.falls),
     "shut down": lambda t: str(t.runs_with_shutdown),
     "cm/s": lambda t: f"{100 * t.mean_speed_mps:.1f}" if t.success.successes else "-",
-    "missteps of steps, %": lambda t: f"{100 * t.missteps_per_step:.2f}",
+    "missteps per 100 steps": lambda t: f"{100 * t.all_missteps / max(t.all_steps, 1):.2f} ({t.all_missteps} in {t.all_steps})",
     "tilt p95, deg": lambda t: in_words(t.tilt_p95_deg, 1.0, ".2f"),
     "height rms, mm": lambda t: in_words(t.height_rms_m, 1e3, ".1f"),
     "slip p50, mm": lambda t: in_words(t.slip_p50_m, 1e3, ".1f"),
@@ -118,12 +119,13 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     return Campaign(tuple(Entry(*pairs[key]) for key in sorted(pairs)), left_out)
 
 
-def content(campaign: Campaign, table: str = "walks") -> Table:
+def content(campaign: Campaign, table: str = "walks", seeds: bool = False) -> Table:
     """Return a campaign as a table, a row per terrain: median (worst).
 
     Args:
         campaign: The campaign.
         table: Name of a table in TABLES. `reached` has the blind baseline in a column; the others have it in a separate row.
+        seeds: Add a column with the seeds, which are also in the notes.
     """
     if table == "reached":
         headings = ["course", "goal reached", "with the map switched off"]
@@ -131,7 +133,11 @@ def content(campaign: Campaign, table: str = "walks") -> Table:
     else:
         headings = ["terrain", *TABLES[table]]
         rows = [[_ticked(_name(campaign, t)), *(cell(t) for cell in TABLES[table].values())] for t in _walked(campaign)]
-    return Table(headings, rows, _footnotes(campaign))
+    if seeds:
+        headings.append("seeds")
+        for row, t in zip(rows, _walked(campaign) if table != "reached" else _sighted(campaign), strict=True):
+            row.append(results_store.in_ranges(t.seeds))
+    return Table(headings, rows, _footnotes(campaign, table))
 
 
 def markdown(campaign: Campaign, table: str = "walks") -> str:
@@ -163,13 +169,23 @@ def _walked(campaign: Campaign) -> list[Trials]:
     return [t for entry in campaign.entries for t in (entry.seeing, entry.blind) if t is not None]
 
 
+def _sighted(campaign: Campaign) -> list[Trials]:
+    return [entry.seeing for entry in campaign.entries]
+
+
 def _name(campaign: Campaign, t: Trials) -> str:
-    """Return a row's name: the terrain, with robot and gait where they vary, and changed parameters."""
-    robots = {entry.seeing.robot for entry in campaign.entries}
-    gaits = {entry.seeing.gait for entry in campaign.entries}
+    """Return a row's name: the terrain, with robot, gait and plug-in where they vary, and changed parameters."""
+    rows = _sighted(campaign)
+    robots, gaits = {row.robot for row in rows}, {row.gait for row in rows}
     words = [t.robot] * (len(robots) > 1) + [t.gait] * (len(gaits) > 1) + ["blind"] * t.blind
-    words += [t.params] if t.params else []
+    replaced = {kind for row in rows for kind in _replaced(row)} - _replaced(t)
+    words += [_OWN[kind] for kind in sorted(replaced)] + ([t.params] if t.params else [])
     return ", ".join([t.scenario, *words])
+
+
+def _replaced(t: Trials) -> set[str]:
+    """Return the kinds of algorithms that plug-ins replace."""
+    return {kind for kind in _OWN if f", {kind} " in f", {t.params}"}
 
 
 def _ticked(name: str) -> str:
@@ -178,17 +194,33 @@ def _ticked(name: str) -> str:
     return f"`{terrain}`{comma}{rest}"
 
 
-def _footnotes(campaign: Campaign) -> list[str]:
+def _footnotes(campaign: Campaign, table: str) -> list[str]:
     walked = _walked(campaign)
-    sighted = [t.success for t in walked if not t.blind and not t.refusals]
-    together = wilson(sum(rate.successes for rate in sighted), sum(rate.n for rate in sighted))
-    reached = f"Together {_rate(together)} reached the goal. " if sighted else ""
+    sighted = [t for t in walked if not t.blind and not t.refusals]
+    words = []
+    if len({(t.robot, t.gait, t.params) for t in sighted}) == 1:  # otherwise the sum is of no robot
+        together = wilson(sum(t.success.successes for t in sighted), sum(t.success.n for t in sighted))
+        words.append(f"Together {_rate(together)} reached the goal.")
+    words += ["Median (worst) of the runs."] if table != "reached" else []
+    words += ["In parentheses: missteps in steps of a group of legs."] if table == "walks" else []
     return [
-        f"{reached}Median (worst) of the runs; missteps of all steps.",
+        " ".join([*words, _seeds_in_words(campaign, walked)]),
         *(words for t in walked for words in _of_ways(t)),
         *(f"Made {made.words}." for made in Made.joined(t.made for t in walked)),
         *(f"Left out: {words}." for words in campaign.left_out),
     ]
+
+
+def _seeds_in_words(campaign: Campaign, walked: Sequence[Trials]) -> str:
+    """Return which seeds the rows have, those of most rows first."""
+    rows: dict[str, list[Trials]] = {}
+    for t in walked:
+        rows.setdefault(results_store.in_ranges(t.seeds), []).append(t)
+    most, *others = sorted(rows, key=lambda seeds: -len(rows[seeds])) or [""]
+    if len(others) == 1 and rows[others[0]] == [t for t in walked if t.blind]:
+        return f"Seeds {most}, blind {others[0]}."
+    words = [f"{seeds} of {', '.join(_ticked(_name(campaign, t)) for t in rows[seeds])}" for seeds in others]
+    return f"Seeds {'; '.join([most, *words])}." if most else ""
 
 
 def _of_ways(t: Trials) -> Iterable[str]:

@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Self
 
@@ -30,6 +31,7 @@ _MARKS = ("fingerprint", "commit", "time", "machine", "params")
 _BEGINS = b'{"fingerprint":'  # every line of runs begins like this
 
 
+_MOST_RANGES = 8  # of seeds that are listed
 _NO_PASSAGE = Passage()
 
 
@@ -227,6 +229,15 @@ def files(places: Sequence[Path]) -> list[Path]:
             raise ResultsError(f"{place}: a file of stored runs, or a folder with campaign.jsonl or trials.jsonl, expected")
         found.append(path)
     return found
+
+
+def in_ranges(seeds: Iterable[int]) -> str:
+    """Return seeds in rising order as text, such as `0 to 15, 17`; only their number and range if they are strewn."""
+    known = list(seeds)
+    ranges = [[seed for _, seed in run] for _, run in groupby(enumerate(known), lambda item: item[1] - item[0])]
+    if len(ranges) > _MOST_RANGES:
+        return f"{len(known)} between {known[0]} and {known[-1]}"
+    return ", ".join(f"{one[0]} to {one[-1]}" if len(one) > 2 else ", ".join(map(str, one)) for one in ranges)
 
 
 def _lines(path: Path) -> list[bytes]:

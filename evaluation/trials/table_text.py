@@ -9,6 +9,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from sextant.shared.errors import SextantError
+from sextant.shared.spelling import hint
+
 _CODE = re.compile(r"`([^`]*)`")
 _LATEX = {
     "\\": r"\textbackslash{}",
@@ -19,6 +22,10 @@ _LATEX = {
 }
 
 
+class UnknownColumnError(SextantError, ValueError):
+    """A table has no column of a name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table of text with notes below it."""
@@ -26,6 +33,20 @@ class Table:
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     notes: Sequence[str] = ()
+
+
+def selected(table: Table, names: Sequence[str]) -> Table:
+    """Return the first column of a table, then those with some headings; the unit of a heading is left out in its name.
+
+    Raises:
+        UnknownColumnError: There is no such column.
+    """
+    known = {heading.partition(",")[0]: k for k, heading in enumerate(table.headings)}
+    if unknown := [name for name in names if name not in known]:
+        raise UnknownColumnError(f"no column {unknown[0]!r}; {hint(unknown[0], list(known)[1:])}")
+    places = [0, *(known[name] for name in names)]
+    rows = [[row[k] for k in places] for row in table.rows]
+    return Table([table.headings[k] for k in places], rows, table.notes)
 
 
 def markdown(table: Table) -> str:

@@ -7,6 +7,7 @@ scenario, of an earlier form of this scenario, or of another version of the prog
 import hashlib
 import json
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -24,12 +25,15 @@ from sextant.evaluation.trials import results_store
 from sextant.evaluation.trials.results_store import Run
 from sextant.evaluation.trials.statistics import Difference, Rate, difference, wilson
 from sextant.evaluation.walked_scenario import named_files
+from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.errors import SextantError
 from sextant.shared.files import config, whole_files
+from sextant.shared.runtime.stopwatch import stopwatch_ns
 from sextant.shared.runtime.workers import share_out
 from sextant.shared.scenario.scenario import Scenario
 
 _PACKAGES = ("shared", "services", "evaluation", "deploy")
+_BUSY = 0.85  # [1] CPU time of the walks over their elapsed time below which other work delayed them
 Runner = Callable[[Scenario, int], Report]
 
 
@@ -74,6 +78,7 @@ class Trials:
     robot: str
     gait: str
     blind: bool
+    seeds: tuple[int, ...]
     success: Rate
     refusals: int  # successful runs in which the robot stopped and gave the reason
     collisions: int  # runs with a collision
@@ -82,7 +87,8 @@ class Trials:
     mean_speed_mps: float  # of the successful runs
     block_touchdowns: Figure  # of a run, on raised blocks; the worst is the fewest
     missteps: Figure  # of a run, touchdowns off the true footholds
-    missteps_per_step: float  # [1] of all runs together
+    all_missteps: int  # of all runs
+    all_steps: int  # of all runs, each of a group of legs: with the tripod gait three touchdowns
     tilt_p95_deg: Figure  # against the commanded attitude
     commanded_tilt_p95_deg: Figure
     height_error_m: Figure  # absolute mean of a run
@@ -102,7 +108,7 @@ class Trials:
     failed_seeds: tuple[int, ...]
     made: Made
     params: str = ""  # plug-ins, and parameters that differ from their defaults, as text
-    passages: Passages | None = None  # None if no run stepped on pillars or planned for them
+    passages: Passages | None = None  # None if no run planned to cross a gap, or had one to cross
 
 
 def run_trials(
@@ -123,13 +129,14 @@ def run_trials(
         jobs: Number of parallel processes; 1 runs in this process.
         out: Folder for `trials.jsonl`.
         blind: Run the baseline without a map.
-        say: Receives a line per seed.
+        say: Receives a line before the first run, and one per seed with its duration and an estimate of the time to go.
         run: Function that runs one seed, `sextant.evaluation.lockstep.lockstep_run.run_lockstep` by default.
         keep_in: A file that also gets a short line of every run, and whose runs count as done; see
             `sextant.evaluation.trials.results_store`.
 
     Raises:
         ValueError: No seeds, no jobs, or an invalid line on file.
+        ConfigError: The ground of a seed cannot be built. No run has begun then.
         ChangedError: The program has changed since this process first ran trials, so new processes would run another version.
     """
     wanted = sorted(set(seeds))
@@ -143,11 +150,16 @@ def run_trials(
     if done:
         say(f"{len(done)} of {len(wanted)} seeds are already done; see {keep_in or path}")
     left = [seed for seed in wanted if seed not in done]
+    check_grounds(scenario, left)
     successes = sum(one.success for one in done.values())
     made_by, machine = provenance.commit(), provenance.machine()
     results_store.mend(path)
-    tasks = [(scenario, seed) for seed in left]
-    for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
+    tasks, processes = [(run or _run_lockstep, scenario, seed) for seed in left], min(jobs, len(left))
+    if left:
+        say(f"{scenario.name}: {len(left)} walks, {processes} at a time; a line follows for each walk that ends")
+    elapsed_s: list[float] = []
+    cpu_s: list[float] = []
+    for report, walk_s, walk_cpu_s in share_out(_timed, tasks, processes, in_order=False):
         marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
         if changed := params.changes_in_words(scenario):
             marks["params"] = changed
@@ -158,8 +170,46 @@ def run_trials(
             if keep_in is not None:
                 results_store.keep(keep_in, [done[report.seed]])
         successes += report.success
-        say(_line(report, len(done), len(wanted), successes))
+        elapsed_s.append(walk_s)
+        cpu_s.append(walk_cpu_s)
+        to_go_s = float(np.mean(elapsed_s)) * (len(left) - len(elapsed_s)) / processes
+        say(f"{_line(report, len(done), len(wanted), successes)}  took {walk_s:.0f} s{_to_go(to_go_s)}")
+    if sum(cpu_s) < _BUSY * sum(elapsed_s) - 1.0:
+        took = f"a walk took {np.mean(elapsed_s):.0f} s, of which {np.mean(cpu_s):.0f} s of CPU time"
+        say(f"{took}: the machine was busy with other work, which delays results and does not change them")
     return summarise([done[seed] for seed in wanted])
+
+
+def check_grounds(scenario: Scenario, seeds: Iterable[int]) -> None:
+    """Build the ground of each seed, so that a seed without one is known before the first walk.
+
+    Raises:
+        ConfigError: The ground of a seed cannot be built; the text names all such seeds and the primitive.
+    """
+    failed: dict[str, list[int]] = {}
+    for seed in seeds:
+        try:
+            build_terrain(scenario, np.random.default_rng([seed, 0]))
+        except config.ConfigError as error:
+            failed.setdefault(error.problems[0], []).append(seed)
+    if failed:
+        found = sorted(seed for some in failed.values() for seed in some)
+        words = f"no ground for seed{'s' * (len(found) > 1)} {results_store.in_ranges(found)}, so no walk was started"
+        raise config.ConfigError(f"scenario {scenario.name}", [f"{words}; {next(iter(failed))}"])
+
+
+def _timed(run: Runner, scenario: Scenario, seed: int) -> tuple[Report, float, float]:
+    """Run a seed; return its report, the elapsed time [s] and the CPU time [s]."""
+    began_ns, cpu_s = stopwatch_ns(), sum(os.times()[:4])
+    report = run(scenario, seed)
+    return report, (stopwatch_ns() - began_ns) * 1e-9, sum(os.times()[:4]) - cpu_s
+
+
+def _to_go(seconds: float) -> str:
+    """Return how long the remaining walks take, as text; empty at the end."""
+    if not seconds:
+        return ""
+    return f", some {seconds:.0f} s to go" if seconds < 120 else f", some {seconds / 60:.0f} min to go"
 
 
 def compare(seeing: Trials, blind: Trials) -> Difference:
@@ -180,6 +230,7 @@ def summarise(runs: Sequence[Run]) -> Trials:
         robot=first.robot,
         gait=first.gait,
         blind=first.blind,
+        seeds=tuple(run.seed for run in runs),
         success=wilson(len(good), len(runs)),
         refusals=sum(run.reason != reports.ARRIVED for run in good),
         collisions=sum(run.collisions > 0 for run in runs),
@@ -188,7 +239,8 @@ def summarise(runs: Sequence[Run]) -> Trials:
         mean_speed_mps=_over(np.mean, [run.speed_mps for run in good]),
         block_touchdowns=_figure([run.raised_block_touchdowns for run in runs], min),
         missteps=_figure([run.missteps for run in runs]),
-        missteps_per_step=sum(run.missteps for run in runs) / max(sum(run.steps for run in runs), 1),
+        all_missteps=sum(run.missteps for run in runs),
+        all_steps=sum(run.steps for run in runs),
         tilt_p95_deg=_figure([run.tilt_p95_deg for run in runs]),
         commanded_tilt_p95_deg=_figure([run.commanded_tilt_p95_deg for run in runs]),
         height_error_m=_figure([abs(run.height_mean_m) for run in runs]),
@@ -215,9 +267,10 @@ def summarise(runs: Sequence[Run]) -> Trials:
 def _passages(runs: Sequence[Run]) -> Passages | None:
     passages = [run.passage for run in runs]
     sections = [section for passage in passages for section in passage.sections]
-    if not sections and not any(passage.pillar_touchdowns for passage in passages):
+    looked = any(passage.passable is not None for passage in passages)
+    if not sections and not looked:
         return None
-    times, looked = [section.planning_ms for section in sections], any(p.passable is not None for p in passages)
+    times = [section.planning_ms for section in sections]
     seconds = sum(times) / 1e3
     return Passages(
         feet_off=sum(passage.feet_off for passage in passages),
@@ -251,12 +304,11 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     lines = [_rate_words(trials)]
     lines.append(
         f"  mean speed {_speed(trials.mean_speed_mps)}, falls {trials.falls}, collisions {trials.collisions}, "
-        f"with a servo shut down {trials.runs_with_shutdown}"
+        f"with a servo shut down {trials.runs_with_shutdown}, missteps {trials.all_missteps} in {trials.all_steps} steps"
     )
     figures = (
         ("touchdowns on blocks", trials.block_touchdowns, 1.0, ".0f", ""),
         ("missteps", trials.missteps, 1.0, ".0f", ""),
-        ("missteps of all steps", Figure(trials.missteps_per_step, float("nan")), 1e2, ".2f", " %"),
         ("tilt p95 off the command", trials.tilt_p95_deg, 1.0, ".2f", " deg"),
         ("commanded tilt p95", trials.commanded_tilt_p95_deg, 1.0, ".2f", " deg"),
         ("height error", trials.height_error_m, 1e3, ".1f", " mm"),

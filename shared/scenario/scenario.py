@@ -220,7 +220,8 @@ class Slope:
 class Rubble:
     """Blocks of random size, height, heading and position, at least `gap` apart.
 
-    The run's seed draws them.
+    The run's seed draws them. In a region that they nearly fill, the blocks of some seeds find no room; `run` and `trials` then
+    refuse the seed before the first walk.
     """
 
     x: tuple[float, float]  # [m] region along x, lowest and highest

@@ -4,7 +4,8 @@ Level ground is a plane and measured ground is one height field. All other primi
 scorer use the same arrays.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -175,7 +176,16 @@ def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     try:
         return _built(scenario, rng)
     except ValueError as error:
-        raise ConfigError(f"scenario {scenario.name}", [f"terrain: {error}"]) from error
+        raise ConfigError(f"scenario {scenario.name}", [str(error)]) from error
+
+
+@contextmanager
+def _named(place: str) -> Iterator[None]:
+    """Name the place of a wrong value in its error."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
 
 
 def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
@@ -186,48 +196,55 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     holes: list[Hole] = []
     weak = [_NONE_WEAK]
     # `_drawn` resolves stairs and courses before any rubble is placed, so that rubble does not change their random draws.
-    for part in [piece for whole in scenario.terrain for piece in _drawn(whole, rng)]:
+    pieces: list[tuple[int, Primitive]] = []
+    for k, whole in enumerate(scenario.terrain):
+        with _named(f"terrain[{k}]"):
+            pieces += [(k, piece) for piece in _drawn(whole, rng)]
+    for k, part in pieces:
         heap.paint = part.color
-        match part:
-            case Plane():
-                planes.append(part)
-            case Box():
-                box = _drawn_block(part, rng)
-                heap.add(box.xy, box.size, box.top, box.top - box.depth, np.radians(box.yaw_deg))
-            case Hole():
-                holes.append(_drawn_block(part, rng))
-            case Stairs():
-                _stairs(heap, part)
-            case Pillars():
-                weak.append(_pillars(heap, part, rng))
-            case PillarField():
-                _pillar_field(heap, part, rng)
-            case Slope():
-                _slope(heap, part)
-            case Rubble():
-                _rubble(heap, part, rng)
-            case HeightMap():
-                fields.append((read_height_map(part, Path(scenario.folder)), part.color))
-            case Puddle():
-                puddles.append(part)
-            case Puddles():
-                puddles += _scattered(part, rng)
-            case Course():
-                raise AssertionError("every course has been replaced by its pieces")
-    for name, count in (("plane", len(planes)), ("height_map", len(fields))):
-        if count > 1:
-            raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
-    if puddles and not planes:
-        raise ValueError('puddles need level ground to lie in: add [[terrain]] with kind = "plane"')
-    if holes and (not planes or puddles):
-        raise ValueError('holes need level ground to lie in, and without puddles: add [[terrain]] with kind = "plane"')
+        with _named(f"terrain[{k}]"):
+            match part:
+                case Plane():
+                    planes.append(part)
+                case Box():
+                    box = _drawn_block(part, rng)
+                    heap.add(box.xy, box.size, box.top, box.top - box.depth, np.radians(box.yaw_deg))
+                case Hole():
+                    holes.append(_drawn_block(part, rng))
+                case Stairs():
+                    _stairs(heap, part)
+                case Pillars():
+                    weak.append(_pillars(heap, part, rng))
+                case PillarField():
+                    _pillar_field(heap, part, rng)
+                case Slope():
+                    _slope(heap, part)
+                case Rubble():
+                    _rubble(heap, part, rng)
+                case HeightMap():
+                    fields.append((read_height_map(part, Path(scenario.folder)), part.color))
+                case Puddle():
+                    puddles.append(part)
+                case Puddles():
+                    puddles += _scattered(part, rng)
+                case Course():
+                    raise AssertionError("every course has been replaced by its pieces")
+    with _named("terrain"):
+        for name, count in (("plane", len(planes)), ("height_map", len(fields))):
+            if count > 1:
+                raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
+        if puddles and not planes:
+            raise ValueError('puddles need level ground to lie in: add [[terrain]] with kind = "plane"')
+        if holes and (not planes or puddles):
+            raise ValueError('holes need level ground to lie in, and without puddles: add [[terrain]] with kind = "plane"')
     if holes:
         heap.paint = planes[0].color
         low, high = (np.array([np.array(h.xy) + sign * np.array(h.size) / 2 for h in holes]) for sign in (-1, 1))
         depth = np.array([h.depth for h in holes])
         _surround(heap, Hollows(low, high, depth, np.zeros((len(holes), 3))), planes[0].height)
     field_, field_color = fields[0] if fields else (None, None)
-    look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
+    with _named("terrain"):
+        look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
     level = planes[0].height if planes and not holes else None  # level ground with holes is made of boxes
     all_weak = Weak(*(np.concatenate([getattr(w, name) for w in weak]) for name in ("box", "bears", "sinks")))
     return Terrain(heap.boxes(), field_, level, _hollows(puddles), look, all_weak)

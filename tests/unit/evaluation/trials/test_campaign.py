@@ -56,12 +56,36 @@ def test_table_has_terrain_rows_with_blind_baseline_below(tmp_path):
     seeing, blind = (dict(zip(rows[0], row, strict=True)) for row in rows[2:4])
     assert seeing["goal reached"] == "4 of 4 (51 to 100 %)"
     assert (blind["goal reached"], blind["falls"]) == ("2 of 4 (15 to 85 %)", "2")
-    assert seeing["missteps of steps, %"] == "0.50"
+    assert seeing["missteps per 100 steps"] == "0.50 (4 in 800)"
     assert seeing["height rms, mm"] == "2.0 (2.0)"
     assert seeing["least margin, mm"] == "40 (40)"
     assert "Together 8 of 8 (68 to 100 %) reached the goal" in campaign_table.markdown(found)
     table = json.loads(campaign_table.to_json(found))
     assert table["terrains"]["stairs"]["baseline"]["success"]["successes"] == 2
+
+
+def test_rows_of_different_rules_are_labelled_and_not_pooled(tmp_path):
+    entries = []
+    for rule, seeds in (("", range(4)), ("my_rules:level", (0, 1, 3))):
+        runs = [_report(load_scenario("flat"), seed) for seed in seeds]
+        params = f"foothold {rule}, planner.costmap.max_step_m=0.05" if rule else ""
+        batch = [results_store.Run.of(as_table(one), "f", "c", "2026-01-01T00:00:00+00:00", params=params) for one in runs]
+        entries.append(campaign_table.Entry(trials.summarise(batch)))
+    found = campaign_table.Campaign(tuple(entries), ())
+    table = campaign_table.content(found, seeds=True)
+    assert [row[0] for row in table.rows] == [
+        "`flat`, Sextant's foothold rule",
+        "`flat`, foothold my_rules:level, planner.costmap.max_step_m=0.05",
+    ]
+    assert [row[-1] for row in table.rows] == ["0 to 3", "0, 1, 3"]
+    assert "Together" not in table.notes[0]
+    assert table.notes[0].endswith(f"Seeds 0 to 3; 0, 1, 3 of {table.rows[1][0]}.")
+    assert json.loads(campaign_table.to_json(found))["terrains"]["flat, Sextant's foothold rule"]["seeds"] == [0, 1, 2, 3]
+
+
+def test_strewn_seeds_are_counted():
+    assert results_store.in_ranges([*range(16), *range(17, 21)]) == "0 to 15, 17 to 20"
+    assert results_store.in_ranges(range(7, 107, 5)) == "20 between 7 and 102"
 
 
 def test_interrupted_campaign_resumes(tmp_path):

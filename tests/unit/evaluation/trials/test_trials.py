@@ -1,4 +1,5 @@
 import importlib
+import itertools
 import json
 import os
 import textwrap
@@ -10,7 +11,8 @@ from sextant.evaluation import report as reports
 from sextant.evaluation.provenance import Made
 from sextant.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread
 from sextant.evaluation.trials import trials
-from sextant.shared.scenario.scenario import Goal, HeightMap, Plane, Scenario
+from sextant.shared.files.config import ConfigError
+from sextant.shared.scenario.scenario import Goal, HeightMap, Plane, Rubble, Scenario
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
 
@@ -73,15 +75,20 @@ def test_batch_summary(tmp_path):
     assert result.mean_speed_mps == pytest.approx(0.1 + 0.001 * (0 + 2 + 4 + 8) / 4)
     assert result.block_touchdowns == trials.Figure(16.5, 12.0)
     assert result.missteps == trials.Figure(0.5, 1.0)
-    assert result.missteps_per_step == pytest.approx(sum(seed // 5 for seed in range(10)) / 400)
+    assert (result.all_missteps, result.all_steps) == (5, 400)
+    assert "missteps 5 in 400 steps" in trials.words(result)
+    assert "pillar" not in trials.words(result)
     assert result.height_rms_m == trials.Figure(0.01, 0.01)
     assert result.stability_margin_m == trials.Figure(0.046, 0.01)
     assert result.tilt_p95_deg == trials.Figure(4.5, 9.0)
     assert (result.height_error_m.median, result.height_error_m.worst) == pytest.approx((0.0045, 0.009))
     assert (result.final_pose_error.median, result.final_pose_error.worst) == pytest.approx((0.02 / 2.5,) * 2)
     assert "touchdowns on blocks 16 (12)" in trials.words(result)
-    assert len(said) == 10
-    assert "seed   3  FAIL" in said[3]
+    assert said[0] == "made up: 10 walks, 1 at a time; a line follows for each walk that ends"
+    assert len(said) == 11
+    assert all(" took 0 s, some 0 s to go" in line for line in said[1:-1])
+    assert said[-1].endswith("took 0 s")
+    assert "seed   3  FAIL" in said[4]
     assert "(4 of 10)" in said[-1]
 
 
@@ -230,3 +237,25 @@ def test_full_disk_warns_and_batch_continues(tmp_path):
     assert len((tmp_path / "kept.jsonl").read_text(encoding="utf-8").splitlines()) == 1
     warnings = [line for line in told if line.startswith("warning: ")]
     assert warnings == 3 * [f"warning: {tmp_path / 'trials.jsonl'} cannot be written: the disk is full; free some space"]
+
+
+def test_seed_without_ground_is_named_before_the_first_walk(tmp_path):
+    rubble = Rubble((0.0, 0.9), (-0.4, 0.4), 16, (0.12, 0.2), (0.02, 0.04))
+    tight, runner = replace(SCENARIO, terrain=(Plane(), rubble)), Runner()
+    with pytest.raises(ConfigError) as refused:
+        trials.run_trials(tight, range(20), 1, tmp_path, run=runner)
+    words = str(refused.value)
+    seeds = [seed for seed in range(20) if f" {seed}" in words.partition(", so no walk")[0]]
+    assert "no ground for seed" in words
+    assert "terrain[1]: room for 16 blocks of rubble expected" in words
+    assert not runner.seeds
+    assert 0 < len(seeds) < 20
+
+
+def test_walks_that_wait_for_other_work_are_reported(tmp_path, monkeypatch):
+    times = itertools.count(step=10_000_000_000)
+    monkeypatch.setattr(trials, "stopwatch_ns", lambda: next(times))
+    said = []
+    trials.run_trials(SCENARIO, range(3), 1, tmp_path, say=said.append, run=Runner())
+    assert said[1].endswith("took 10 s, some 20 s to go")
+    assert said[-1].startswith("a walk took 10 s, of which 0 s of CPU time: the machine was busy with other work")
