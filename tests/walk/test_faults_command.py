@@ -11,7 +11,7 @@ import pytest
 from benchmarks.cli import main
 from sextant.deploy.commands.common import SUCCESS
 
-FAULTS = ("planner-hung", "servo-silent", "overload", "sag", "off-bytes-garbage")
+FAULTS = ("planner-hung", "overload", "off-bytes-garbage")
 
 
 def test_faults_command_checks_limits_and_skips_completed_injections(
@@ -20,14 +20,13 @@ def test_faults_command_checks_limits_and_skips_completed_injections(
     assert main(["faults", *FAULTS, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS, (tmp_path / "faults.md").read_text()
     table = json.loads((tmp_path / "faults.json").read_text())
     assert [(row["fault"], row["n"], row["passed"], row["falls"]) for row in table] == [(name, 1, True, 0) for name in FAULTS]
-    hung, silent, overload, sag, off = table
+    hung, overload, off = table
     assert 0.1 < hung["decided_s"]["worst"] < hung["rest_s"]["worst"] < 0.7
-    assert silent["decided_s"]["worst"] < 0.25
     assert 0.0 < overload["lunge_dps"]["worst"] <= 30.0
-    assert (sag["stopped"], off["switched"]) == (0, 1)
+    assert off["switched"] == 1
     assert off["off_s"]["worst"] <= 0.06
     lines = (tmp_path / "faults.jsonl").read_bytes()
     capsys.readouterr()
     assert main(["faults", *FAULTS, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS
-    assert "5 of 5 injections are already done" in capsys.readouterr().out
+    assert "3 of 3 injections are already done" in capsys.readouterr().out
     assert (tmp_path / "faults.jsonl").read_bytes() == lines

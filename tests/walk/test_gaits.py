@@ -14,7 +14,7 @@ _TWO_STEPS = """
 name = "two-steps"
 time_limit_s = 60.0
 [goal]
-distance = 0.95
+distance = 0.8
 [[terrain]]
 kind = "plane"
 [[terrain]]

@@ -18,7 +18,7 @@ _LOOK_NS = 500_000_000
 @pytest.mark.parametrize(
     ("name", "distance"),
     [
-        ("lotriet_flat", 0.9),
+        ("lotriet_flat", 0.6),
         *(pytest.param(name, load_scenario(name).goal.distance, marks=pytest.mark.campaign) for name in TESTS),
     ],
 )

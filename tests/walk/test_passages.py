@@ -21,7 +21,7 @@ def short_gap() -> Scenario:
     passage = load_scenario("passage1")
     course = Course((Level(1.3), Gap(0.315), Level(1.5)), 1.6)
     pillars = Pillars(((0.8575, 0.16), (0.8575, -0.16)), 0.10, 0.0, length=0.17, depth=0.4, jitter=0.01)
-    return replace(passage, goal=replace(passage.goal, distance=1.4), terrain=(Plane(height=-0.4), course, pillars))
+    return replace(passage, goal=replace(passage.goal, distance=1.2), terrain=(Plane(height=-0.4), course, pillars))
 
 
 @pytest.mark.parametrize("scenario", [short_gap(), pytest.param(load_scenario("passage3"), marks=pytest.mark.campaign)])
