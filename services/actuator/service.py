@@ -218,7 +218,7 @@ class Actuator:
                         self._joints.torque_on()
                     self._motion.hold(self._joints.goals)
                 case Act.RISE:
-                    self._motion.stand_up(self._joints.goals)
+                    self._motion.stand_up(self._joints.goals, self._estimator.contact.legs)
                 case Act.LIE_DOWN:
                     self._motion.lie_down()
                 case Act.SET_DOWN:

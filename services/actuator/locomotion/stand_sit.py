@@ -4,6 +4,7 @@ To stand up, the feet move to their resting positions while the belly lies on th
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sextant.services.actuator.locomotion.step_executor import Targets
 from sextant.shared.geometry import Array
@@ -14,27 +15,32 @@ _AT_REST_M = 0.03  # [m] between a foot and its place in the resting stance, up 
 _CARRYING_HEIGHT_M = 0.04  # [m] belly height from which the legs carry the body
 _STANDING_RANGE_M = 0.08  # [m] from its resting position, up to which a foot stands after an interrupted motion
 _WIDER_M = np.arange(0.0, 0.1, 0.005)  # [m] by which feet may stand further out than in the resting stance
+_UNEVEN_M = 0.005  # [m] of a foot over the plane of the others, from which the ground is uneven; a servo's sag is less
 _BELLY_CLEARANCE_M = 0.005  # [m] of the feet over the ground on which the belly lies
 
 
 class StandUp:
     """Motion from any folded stance to standing, in a given time.
 
-    A robot on its feet stays on them.
+    A robot on its feet stays on them. On uneven ground the carrying feet keep their heights over the plane through them, so
+    none is pressed into the ground or lifted off it.
 
     Loaded feet cannot be drawn in. If folded legs do not reach the resting stance, the robot rises in a wider stance, and the
     first steps of its walk bring the feet in.
     """
 
-    def __init__(self, profile: RobotProfile, feet: Array, duration_s: float):
+    def __init__(self, profile: RobotProfile, feet: Array, duration_s: float, carrying: NDArray[np.bool_] | None = None):
         """Begin.
 
         Args:
             profile: The robot.
             feet: (6, 3) [m] {body} present feet.
             duration_s: [s] total duration.
+            carrying: (6,) legs that carry load; by default none is known to.
         """
         rest = profile.rest_feet()
+        if carrying is not None and _is_on_its_feet(profile, feet):
+            rest[:, 2] += _relief(feet, carrying)
         if np.abs(feet - rest).max() < _AT_REST_M:
             self._way: tuple[Array, ...] = (feet, rest)
         elif _is_on_its_feet(profile, feet):
@@ -103,6 +109,15 @@ def _is_on_its_feet(profile: RobotProfile, feet: Array) -> bool:
     height = profile.foot.radius - float(np.median(feet[:, 2]))
     apart = np.linalg.norm((feet - profile.rest_feet())[:, :2], axis=1)
     return height > profile.body.size[2] / 2 + _CARRYING_HEIGHT_M and bool((apart < _STANDING_RANGE_M).all())
+
+
+def _relief(feet: Array, carrying: NDArray[np.bool_]) -> Array:
+    """Return heights (6,) [m] of carrying feet (6, 3) [m] {body} over the plane through them; zeros on level ground."""
+    over = np.zeros(len(feet))
+    if np.count_nonzero(carrying) > 3:
+        rows = np.column_stack([feet[carrying, :2], np.ones(np.count_nonzero(carrying))])
+        over[carrying] = feet[carrying, 2] - rows @ np.linalg.lstsq(rows, feet[carrying, 2])[0]
+    return over if np.abs(over).max() > _UNEVEN_M else np.zeros(len(feet))
 
 
 def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:

@@ -77,6 +77,31 @@ def test_stand_up_of_standing_robot_does_not_lower_the_body() -> None:
     assert way[..., 2].max() <= REST[0, 2] + 0.01 + 1e-12
 
 
+def over_plane(feet: Array) -> Array:
+    """Return heights (6,) [m] of feet over the plane through all six."""
+    rows = np.column_stack([feet[:, :2], np.ones(6)])
+    return np.asarray(feet[:, 2] - rows @ np.linalg.lstsq(rows, feet[:, 2])[0])
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+def test_stand_up_on_uneven_ground_keeps_heights_of_carrying_feet(tilt: float) -> None:
+    feet = REST + np.outer(REST[:, 0] * tilt, [0.0, 0.0, 1.0])
+    feet[0, 2] += 0.03  # on a block
+    act = StandUp(PROFILE, feet, DURATION, np.ones(6, dtype=np.bool_))
+    ends = act.update(DURATION).feet
+    np.testing.assert_allclose(over_plane(ends), over_plane(feet), atol=1e-3)
+    rows = np.column_stack([ends[:, :2], np.ones(6)])
+    np.testing.assert_allclose(np.linalg.lstsq(rows, ends[:, 2])[0], [0.0, 0.0, REST[0, 2]], atol=3e-3)  # the body is level
+
+
+def test_stand_up_lowers_hanging_foot_and_levels_small_differences() -> None:
+    hanging, sagging = REST.copy(), REST.copy()
+    hanging[0, 2] += 0.03
+    sagging[0, 2] += 0.003
+    np.testing.assert_allclose(StandUp(PROFILE, hanging, DURATION, np.arange(6) > 0).update(DURATION).feet, REST, atol=1e-12)
+    np.testing.assert_allclose(StandUp(PROFILE, sagging, DURATION, np.arange(6) > -1).update(DURATION).feet, REST, atol=1e-12)
+
+
 # ------------------------------------------------------------------------------------------------------------ lying down
 
 GROUND = PROFILE.foot.radius - PROFILE.body.size[2] / 2  # [m] {body} height of feet on the ground on which the belly lies
