@@ -22,7 +22,7 @@ _REMEDY = "use --lockstep or close programs"  # for a computer that is too slow
 class View:
     """State of a run at one moment, for its operator."""
 
-    time_s: float = 0.0  # [s] simulated time since the first message of the actuator
+    time_s: float = 0.0  # [s] simulated time since the first ground truth, as in reports and pictures; without, of the actuator
     speed: float = 0.0  # [m/s] of the estimated pose over the newest two seconds
     walked: float = 0.0  # [m] along the starting direction
     to_goal: float | None = 0.0  # [m]; None without a goal
@@ -90,12 +90,21 @@ class Monitor:
     )
     publishes: tuple[AnyTopic, ...] = ()
 
-    def __init__(self, goal_distance: float | None, computer: SlowComputer | None = None):
+    def __init__(self, goal_distance: float | None, computer: SlowComputer | None = None, has_truth: bool = False):
+        """Initialise without messages.
+
+        Args:
+            goal_distance: [m] from the start; None without a goal.
+            computer: Detector of a computer that is too slow.
+            has_truth: Whether to subscribe to the ground truth of a simulator, from which the time of the run counts.
+        """
+        self.subscribes = (*Monitor.subscribes, topics.TRUTH) if has_truth else Monitor.subscribes
         self.stages = Stages()
         self.lateness = RunLateness(computer or SlowComputer())
         self.view = View(to_goal=goal_distance)  # None without a goal
         self._goal_distance = goal_distance
-        self._began_ns: int | None = None
+        self._has_truth = has_truth
+        self._began_ns: int | None = None  # by the clock of this machine, because the robot's clock may differ
         self._track: deque[tuple[int, float, float]] = deque()  # stamp, x, y
         self._health = HealthTable()
         self._refused: dict[str, tuple[int, int]] = {}  # service -> number of its refused messages, and when [ns] it last rose
@@ -105,8 +114,9 @@ class Monitor:
         self._health.drain(inbox, tick.stamp_ns)
         too_slow = self.lateness.update(self._health.named(), tick.stamp_ns)
         state, pose = inbox.latest(topics.ACTUATOR_STATE), inbox.latest(topics.BODY_POSE)
-        if state is not None and self._began_ns is None:
-            self._began_ns = tick.stamp_ns  # of this machine, because the robot's clock may differ
+        truth = inbox.drain(topics.TRUTH) if self._has_truth else []
+        if self._began_ns is None and (truth or state is not None):
+            self._began_ns = tick.stamp_ns - (truth[-1].stamp_ns - truth[0].stamp_ns if truth else 0)
         if pose is not None:
             self._follow(pose)
         walked = self._track[-1][1] if self._track else 0.0
@@ -120,7 +130,7 @@ class Monitor:
             speed=self._speed(),
             walked=walked,
             to_goal=None if self._goal_distance is None else max(0.0, self._goal_distance - walked),
-            up=self._began_ns is not None,
+            up=state is not None,
             doing={name: _printable(health.status) for name, (health, _) in self._services()},
             warnings=tuple(map(_printable, warnings)),
         )

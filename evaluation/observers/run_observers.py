@@ -34,7 +34,8 @@ class RunObservers:
     def __init__(self, profile: RobotProfile, scenario: Scenario, seed: int, live: bool = False, linked: bool = False):
         self.operator = Operator(profile, scenario)
         self.scorer = Scorer(profile, scenario, seed)
-        self.monitor = Monitor(scenario.goal.distance, SlowComputer(live, linked or scenario.link.exists))
+        computer = SlowComputer(live, linked or scenario.link.exists)
+        self.monitor = Monitor(scenario.goal.distance, computer, has_truth=True)
         self._operator_done_s: float | None = None
         # The parameters of services that were started elsewhere are not known.
         self.params = {} if linked else config.as_table(params.of_scenario(scenario))

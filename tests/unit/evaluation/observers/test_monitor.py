@@ -9,7 +9,7 @@ from sextant.shared.runtime.lateness import SlowComputer
 from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.service import Every, ServiceRunner
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
+from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, GroundTruth, Health, Message, Mode, PlannerStatus
 from tests.support.scripted_service import Scripted
 from tests.support.states import actuator_state
 
@@ -34,6 +34,13 @@ def state(
     return actuator_state(PROFILE, step=1, phase=0.5, contact=no, temperature=40.0, **said)
 
 
+def truth(stamp_ns: int) -> GroundTruth:
+    joints, flags = np.zeros((6, 3)), np.zeros(6, dtype=np.bool_)
+    return GroundTruth(
+        stamp_ns, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name
+    )
+
+
 def health(stamp_ns: int, service: str, refused: int = 0, **stages: float) -> Health:
     p50 = np.array(list(stages.values()), dtype=np.float64)
     names = tuple(name.replace("latency_", "latency ") for name in stages)
@@ -43,9 +50,9 @@ def health(stamp_ns: int, service: str, refused: int = 0, **stages: float) -> He
 class Bench:
     """A monitor on a separate clock."""
 
-    def __init__(self, goal: float = 2.5):
+    def __init__(self, goal: float = 2.5, has_truth: bool = False):
         self.now_ns = 0
-        self.monitor = Monitor(goal)
+        self.monitor = Monitor(goal, has_truth=has_truth)
         self.worker = ServiceRunner(self.monitor, lambda *_: None, lambda: self.now_ns)
 
     def hear(self, at_ns: int, *messages: Message) -> View:
@@ -69,6 +76,15 @@ def test_time_starts_at_first_actuator_message_and_speed_is_mean() -> None:
     assert view.time_s == 39 / 4
     assert abs(view.speed - 0.1) < 1e-9
     assert abs(view.to_goal - (2.5 - 0.1 * 39 / 4)) < 1e-9
+
+
+def test_time_of_a_simulated_run_starts_at_its_first_truth() -> None:
+    bench = Bench(has_truth=True)
+    bench.hear(S)
+    view = bench.hear(2 * S, truth(50 * S), truth(50 * S + S // 5))
+    assert (view.time_s, view.up) == (0.2, False)
+    view = bench.hear(6 * S, truth(54 * S), state(9 * S))
+    assert (view.time_s, view.up) == (4.2, True)
 
 
 def test_remaining_distance_is_zero_past_goal() -> None:
