@@ -4,14 +4,17 @@ import hashlib
 import json
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sextant.shared.files import config
 from sextant.shared.files.config import ConfigError
 from sextant.shared.files.input_file import FileError, parse_json
 from sextant.shared.plugins.loading import Plugins
 from sextant.shared.recording.layout import SCENARIO
-from sextant.shared.recording.reader import Recording
 from sextant.shared.scenario.scenario import HeightMap, Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from sextant.shared.recording.reader import Recording
 
 _OF_THE_COMMAND = ("robot", "walk", "bridge", "link", "params", "time_limit_s", "plugins", "folder")  # its options change them
 
@@ -33,7 +36,7 @@ def as_text(scenario: Scenario) -> str:
     return json.dumps({"scenario": table, "files": {name: _digest(path) for name, path in files.items()}}, ensure_ascii=False)
 
 
-def walked_scenario(recording: Recording, given: str = "") -> Scenario | None:
+def walked_scenario(recording: "Recording", given: str = "") -> Scenario | None:
     """Return the scenario that a recorded run has walked; None if its recording, an older one, does not hold it.
 
     Args:
