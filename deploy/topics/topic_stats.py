@@ -180,18 +180,8 @@ def in_words(rows: list[Row]) -> str:
 
 def for_scripts(rows: list[Row], duration_s: float) -> dict[str, Any]:
     """Return the statistics as JSON values."""
-    names = (
-        "key",
-        "side",
-        "expected_hz",
-        "frames",
-        "rate_hz",
-        "bytes_per_s",
-        "budget_bytes_per_s",
-        "mean_bytes",
-        "largest_bytes",
-        "gap_ms",
-    )
+    sizes = ("bytes_per_s", "budget_bytes_per_s", "mean_bytes", "largest_bytes", "gap_ms")
+    names = ("key", "side", "expected_hz", "more", "frames", "rate_hz", *sizes)
     return {
         "duration_s": duration_s,
         "topics": [
