@@ -57,9 +57,9 @@ def plot(
     if fixed:
         raise InputError(f"--width: {fixed[0]} has a fixed size; leave --width out, or draw {', '.join(_SCALED)}")
     from sextant.evaluation.figures.comparison_table import comparison, markdown
-    from sextant.evaluation.figures.recorded_run import recorded_run
+    from sextant.evaluation.figures.recorded_run import recorded_runs
 
-    recorded = [recorded_run(path, scenario) for path in paths]
+    recorded = recorded_runs(paths, scenario)
     for path, run in zip(paths, recorded, strict=True):
         if run.cut_off:
             complain(f"warning: {path} is truncated; only its readable part is drawn")

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Iterator
 from itertools import chain
 from typing import Any
@@ -45,15 +46,20 @@ def _narrow_legend(axes: Any, share: float) -> None:
 def plotted(figure: Any) -> str:
     """Return the plotted lines and points as CSV, a row per point: panel, series, x, y.
 
-    A panel is named by the label of its y axis, a series by its label in the legend, else by its number.
+    A panel is named by the label of its y axis, and by its title where two have the same label. A series is named by its label
+    in the legend or its hidden label, which begins with an underscore, else by its number.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["panel", "series", "x", "y"])
+    titled = Counter(axes.get_ylabel() for axes in figure.axes)
+    title = ""
     for number, axes in enumerate(figure.axes, 1):
+        title = axes.get_title() or title
         panel = axes.get_ylabel().replace("\n", " ") or str(number)
+        panel += f", {title}" * (titled[axes.get_ylabel()] > 1)
         for count, (label, x, y) in enumerate(_series(axes), 1):
-            name = str(count) if not label or label.startswith("_") else label
+            name = str(count) if not label or label.startswith("_child") else label.removeprefix("_")
             writer.writerows([panel, name, f"{a:.9g}", f"{b:.9g}"] for a, b in zip(x, y, strict=True))
     return text.getvalue()
 

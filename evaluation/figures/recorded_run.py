@@ -1,7 +1,7 @@
 """A recorded run for figures, evaluated again by the scorer."""
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -49,6 +49,13 @@ class RecordedRun:
         """Time [s] of the trace at which the first step began; 0 if there is none."""
         walking = self.trace.walking
         return float(self.trace.t[np.argmax(walking)]) if walking.any() else 0.0
+
+
+def recorded_runs(paths: Sequence[Path], scenario: str = "") -> list[RecordedRun]:
+    """Evaluate recorded runs again, see `recorded_run`; runs of folders with one name are named by their paths."""
+    runs = [recorded_run(path, scenario) for path in paths]
+    names = [run.name for run in runs]
+    return [replace(run, name=str(path)) if names.count(run.name) > 1 else run for path, run in zip(paths, runs, strict=True)]
 
 
 def recorded_run(path: Path, scenario: str = "") -> RecordedRun:

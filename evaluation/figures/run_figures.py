@@ -5,7 +5,7 @@ A figure is a row of the table `FIGURES`: its description and its drawing functi
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -32,6 +32,7 @@ _ASIDE = 0.92 * _WIDTH  # [in] width of a panel
 _SHORTEST_S = 1e-3  # minimum length of a time axis; a run may have a single moment
 _TICKS = 6  # largest number of ticks; without this limit the layout would not converge
 _LEGEND_ROW, _COLUMNS = 0.24, 7  # [in] height of a row of the legend below the maps, and its columns
+_SINCE_STEP = "simulated time since the first step [s]"
 _ROOM = 0.3  # [m] around a walk in a map
 
 
@@ -96,7 +97,7 @@ def _height(runs: Runs) -> Any:
 
 def _overlaid_height(axes: Any, run: RecordedRun, color: str) -> None:
     trace, t = run.trace, run.trace.t - run.begin
-    axes.plot(t, 100 * trace.height_reference, color=color, lw=2.5, alpha=0.3)
+    axes.plot(t, 100 * trace.height_reference, color=color, lw=2.5, alpha=0.3, label=f"_{run.name}, commanded")
     axes.plot(t, 100 * trace.p_true[:, 2], color=color, lw=1.1, label=_label(run))
 
 
@@ -162,8 +163,8 @@ def _over_time(
         return None
     figure, axes = _sheet(3.6)
     if len(walked) == 1:
-        of_one(axes, walked[0].trace)
-        axes.set_xlabel("simulated time [s]")
+        of_one(axes, replace(walked[0].trace, t=walked[0].trace.t - walked[0].begin))
+        axes.set_xlabel(_SINCE_STEP)
         axes.set_title(_title(walked[0]), size=12)
         return figure
     for run, color in _colored(walked):
@@ -227,7 +228,7 @@ def _feet(runs: Runs) -> Any:
     for run, above, aside in zip(walked, rows[::2], rows[1::2], strict=True):
         walk_picture.draw_from_above(above, run.trace)
         walk_picture.draw_from_aside(aside, run.trace)
-        above.set_title(_title(run), size=12)
+        above.set_title(_title(run, len(walked) > 1), size=12)
     return figure
 
 
@@ -256,7 +257,7 @@ def _footholds(runs: Runs) -> Any:
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
-        axes.set_title(_title(run), size=12)
+        axes.set_title(_title(run, len(shown) > 1), size=12)
         axes.set_xlabel("ahead [m]")
         axes.set_ylabel("left [m]")
         summary.draw_ground(figure, axes, trace.mosaic, low, high)
@@ -286,7 +287,10 @@ def _joints(runs: Runs) -> Any:
     for k, (run, color) in enumerate(_colored(walked)):
         left = place - 0.4 + width * k
         axes.bar(left, run.torque_rms.ravel(), width, align="edge", color=color, label=_label(run))
-        axes.plot(left + width / 2, run.torque_p95.ravel(), ls="", marker="_", color="#111111", ms=max(4, 16 // len(walked)))
+        axes.plot(
+            left + width / 2, run.torque_p95.ravel(), ls="", marker="_", color="#111111", ms=max(4, 16 // len(walked)),
+            label=f"_{run.name}, 95 %",
+        )  # fmt: skip
     axes.set_xticks(place, [joint for _ in LEGS for joint in JOINTS], size=9)
     for leg, (name, color) in enumerate(zip(LEGS, LEG_COLORS, strict=True)):
         axes.annotate(name, (float(place[3 * leg + 1]), 0), (0, -30), textcoords="offset points", ha="center", color=color)
@@ -384,14 +388,14 @@ def _below_each_other(runs: Runs, one: Callable[[Any, RecordedRun], None], heigh
     figure, rows = _sheets(len(runs), height * len(runs))
     for run, axes in zip(runs, rows, strict=True):
         one(axes, run)
-        axes.set_title(_title(run), size=12)
+        axes.set_title(_title(run, len(runs) > 1), size=12)
     return figure
 
 
 def _in_time(figure: Any, axes: Any, runs: Runs, label: str) -> Any:
     """Label a figure over time, and return it."""
     stepped = any(run.trace.walking.any() for run in runs)
-    axes.set_xlabel("simulated time since the first step [s]" if stepped else "simulated time [s]")
+    axes.set_xlabel(_SINCE_STEP if stepped else "simulated time [s]")
     axes.set_ylabel(label)
     axes.locator_params(axis="y", nbins=_TICKS)
     axes.grid(alpha=0.25)
@@ -429,8 +433,11 @@ def _label(run: RecordedRun) -> str:
     return run.name + ("" if run.report.success else " (failed)")
 
 
-def _title(run: RecordedRun) -> str:
+def _title(run: RecordedRun, named: bool = False) -> str:
+    """Return scenario, seed, robot, gait, plug-ins and result of a run; also its name if `named`."""
     r = run.report
     if run.own_words:
         return f"{run.name}, {r.robot}: {r.reason}"
-    return f"{r.scenario}, seed {r.seed}, {r.robot}, {r.gait}" + (", blind" if r.blind else "") + f": {r.reason}"[:110]
+    plugins = "".join(f", {kind} {name}" for kind, name in run.numbers.get("plugins", {}).items())
+    what = f"{r.scenario}, seed {r.seed}, {r.robot}, {r.gait}{', blind' * r.blind}{plugins}"
+    return f"{run.name}: " * named + what + f": {r.reason}"[:110]

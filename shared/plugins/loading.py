@@ -4,6 +4,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import re
+import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ class Plugins:
     """Names of the plug-ins of a run; empty for Sextant's own algorithm.
 
     A name is `package.module:Object`, or that of an entry point in the group `sextant.planner`, `sextant.foothold` or
-    `sextant.registration`.
+    `sextant.registration`. The module is installed, in a folder of PYTHONPATH, or in the working directory, which comes last.
     """
 
     planner: str = ""
@@ -78,7 +79,7 @@ def load(kind: Kind, name: str) -> Callable[..., Any]:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise PluginError(f"plug-in {name}: {module} needs {error.name}, which is not installed") from error
-        where = "is it installed in this environment, or its folder on PYTHONPATH?"
+        where = f"expected in this environment, in a folder of PYTHONPATH, or in the working directory {Path.cwd()}"
         raise PluginError(f"plug-in {name}: there is no module {error.name}; {where}") from error
     except Exception as error:  # its import may raise anything
         raise PluginError(f"plug-in {name}: {module} cannot be imported: {described(error, module)}") from error
@@ -93,7 +94,7 @@ def load(kind: Kind, name: str) -> Callable[..., Any]:
 
 
 def _target(kind: Kind, name: str) -> str:
-    """Return `module:object` of a plug-in's name.
+    """Return `module:object` of a plug-in's name, and let its module be found in the working directory.
 
     Raises:
         PluginError: It is neither the name of an entry point nor of that form.
@@ -102,6 +103,8 @@ def _target(kind: Kind, name: str) -> str:
     if name in known:
         return known[name]
     if _OBJECT.fullmatch(name):
+        here = str(Path.cwd())
+        sys.path += [] if here in sys.path else [here]  # last, so that no file there replaces an installed module
         return name
     installed = hint(name, sorted(known)) if known else "no installed package has one"
     raise PluginError(f"--{kind}: package.module:Object or the name of an entry point expected, found {name!r}; {installed}")

@@ -33,7 +33,7 @@ def test_each_course_is_built_with_different_seeds(text: str) -> None:
 @pytest.mark.slow
 def test_course_and_rule_of_tutorials_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
     sys.modules.pop("my_rules", None)  # of another test
     (course,), (rule,) = blocks("first_hour.md", "toml"), blocks("foothold_rule.md", "python")
     Path("my_course.toml").write_text(course.replace("distance = 2.2", "distance = 0.9"))  # into the rubble

@@ -126,7 +126,7 @@ MISTAKES = [
     ),
     ("trials flat", "--seeds expected, found none"),
     ("trials flat --seeds commit:0", "--seeds: A:B with A < B expected, B not included, found 'commit:0'"),
-    ("trials flat --seeds 0:1 --planner unknown:X", "there is no module unknown; is it installed in this environment"),
+    ("trials flat --seeds 0:1 --planner unknown:X", "there is no module unknown; expected in this environment"),
     ("run flat --lockstep --planner tests.support.plugins:not_callable", "a class or a function expected, found int"),
     ("run flat --lockstep --set planner.costmap.max_step_m=abc", "planner.costmap.max_step_m: a number expected, found 'abc'"),
     ("run flat --record-depth frames", "add --lockstep"),

@@ -1,6 +1,7 @@
 """Figures of the width of a column, and their data as CSV."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -41,7 +42,8 @@ def table(path: Path) -> dict[tuple[str, str], np.ndarray]:
 def test_csv_has_the_plotted_data(good, tmp_path):
     assert draw("height", [good], tmp_path / "height.svg", 3.5, data=True)
     found = table(tmp_path / "height.csv")[("body height [cm]", "true")]
-    np.testing.assert_allclose(found, np.column_stack([good.trace.t, 100 * good.trace.p_true[:, 2]]), rtol=1e-8)
+    since = good.trace.t - good.begin
+    np.testing.assert_allclose(found, np.column_stack([since, 100 * good.trace.p_true[:, 2]]), rtol=1e-8, atol=1e-12)
     assert draw("pose", [good], tmp_path / "pose.svg", data=True)
     paths = {series: points for (_, series), points in table(tmp_path / "pose.csv").items()}
     np.testing.assert_allclose(paths["good, true"], good.trace.p_true[:, :2] * [1, 100], rtol=1e-8, atol=1e-12)
@@ -52,6 +54,18 @@ def test_csv_of_bars_has_the_torque_of_each_joint(good, tmp_path):
     assert draw("joints", [good], tmp_path / "joints.svg", data=True)
     bars = [points for points in table(tmp_path / "joints.csv").values() if len(points) == 18]
     assert any(np.allclose(points[:, 1], good.torque_rms.ravel(), rtol=1e-8) for points in bars)
+
+
+def test_panels_and_series_of_several_runs_have_their_names(good, heard, story, tmp_path):
+    ruled = replace(good, name="ruled", numbers={**good.numbers, "plugins": {"foothold": "my_rules:level"}})
+    assert draw("height", [good, ruled], tmp_path / "height.svg", data=True)
+    assert {series for _, series in table(tmp_path / "height.csv")} == {
+        *(f"{name}, commanded" for name in ("good", "ruled")), "good", "ruled",
+    }  # fmt: skip
+    assert draw("foot", [good, ruled], tmp_path / "foot.svg", data=True)
+    panels = sorted({panel.split(", ", 1)[1] for panel, _ in table(tmp_path / "foot.csv")})
+    assert [title.partition(":")[0] for title in panels] == ["good", "ruled"]
+    assert ", foothold my_rules:level: goal reached" in panels[1]
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 
 from sextant.evaluation import report as reports
 from sextant.evaluation.figures.recorded_ground import WORDS, MappedGround
-from sextant.evaluation.figures.recorded_run import recorded_run
+from sextant.evaluation.figures.recorded_run import recorded_run, recorded_runs
 from sextant.evaluation.observers.run_observers import about
 from sextant.evaluation.walked_scenario import walked_scenario
 from sextant.shared.files.config import ConfigError
@@ -138,6 +138,12 @@ def test_recorded_scenario_is_drawn_and_another_one_is_refused(story, scenario, 
     (tmp_path / "ground.npy").unlink()
     with pytest.raises(ConfigError, match=r"ground\.npy: this file of the recorded scenario is missing"):
         recorded_run(tmp_path / "run.mcap")
+
+
+def test_runs_of_folders_with_one_name_are_named_by_their_paths(story, kept, scenario, tmp_path):
+    good = kept("good", story(moved_leg=2, drift=0.02))
+    shutil.copytree(good, tmp_path / "good")
+    assert [run.name for run in recorded_runs([good, tmp_path / "good"], scenario)] == [str(good), str(tmp_path / "good")]
 
 
 def test_damaged_recorded_scenario_is_refused(tmp_path):

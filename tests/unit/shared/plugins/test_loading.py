@@ -1,6 +1,7 @@
 """Plug-ins: found by name, called, and named in every error."""
 
 import importlib.metadata
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +35,17 @@ def entry_point(monkeypatch):
 
 def test_name_of_an_object_finds_it():
     assert load("foothold", f"{HERE}:all_good") is plugins.all_good
+
+
+def test_module_in_the_working_directory_is_found_and_replaces_no_installed_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
+    monkeypatch.chdir(tmp_path)
+    for name in ("own_rules_of_a_test", "tomllib"):
+        (tmp_path / f"{name}.py").write_text("def load(ground):\n    return ground.elevation\n")
+    assert load("foothold", "own_rules_of_a_test:load").__module__ == "own_rules_of_a_test"
+    assert Plugins(foothold="own_rules_of_a_test:load").sources() == [tmp_path / "own_rules_of_a_test.py"]
+    monkeypatch.delitem(sys.modules, "tomllib")
+    assert load("foothold", "tomllib:load").__module__.startswith("tomllib.")
 
 
 def test_name_of_an_entry_point_finds_its_object(entry_point):
