@@ -31,7 +31,7 @@ WINDOW_S = 4.0  # [s] window of the worst, or mean, value where single values wo
 _ASIDE = 0.92 * _WIDTH  # [in] width of a panel
 _SHORTEST_S = 1e-3  # minimum length of a time axis; a run may have a single moment
 _TICKS = 6  # largest number of ticks; without this limit the layout would not converge
-_LEGEND_ROW, _COLUMNS = 0.24, 7  # [in] height of a row of the legend below the maps, and its columns
+_LEGEND_ROW, _COLUMNS = 0.24, 6  # [in] height of a row of the legend below the maps, and its columns
 _SINCE_STEP = "simulated time since the first step [s]"
 _ROOM = 0.3  # [m] around a walk in a map
 
