@@ -42,7 +42,8 @@ def test_robot_crosses_passage(scenario: Scenario) -> None:
     before = [s.body_ref[2, 3] for s in found.states() if s.stamp_ns < plans[0].stamp_ns]
     assert max(before) > scenario.walk.body_height + 0.03
     # One leg at a time, and none goes far back.
-    crossing = [s for s in found.states() if s.stamp_ns > plans[0].stamp_ns]
+    over_ns = max(s.stamp_ns for s in found.statuses() if s.reason.startswith("gap crossing"))
+    crossing = [s for s in found.states() if plans[0].stamp_ns < s.stamp_ns < over_ns]
     assert max(int(s.swing.sum()) for s in crossing) == 1
     for plan in plans:
         for leg in range(6):
