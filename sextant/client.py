@@ -233,7 +233,7 @@ class Client:
             body_height_m: [m] of the body over the ground.
             lift_m: [m] clearance of swinging feet.
             gap_crossing: "never" raises where no path leads; "always" walks straight, one planned leg at a time.
-            patience_s: [s] for which the planner may be blocked, for example by somebody who stands in the way.
+            patience_s: [s] for which the planner may be blocked, for example by an obstacle that moves away.
             within_s: [s] in which the robot has to arrive.
 
         Raises:
