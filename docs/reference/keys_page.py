@@ -58,7 +58,7 @@ address), with scouting off. A key of this page follows the namespace of the run
   client below does. Orders `off` and `stop` with a fresh stamp are obeyed even if their `sequence` is older than one already
   received, unless it is not newer than that holder's last stop.
 - Transforms `T_a_b` are 4 × 4 and map coordinates of frame b to frame a: {{world}} is fixed where the robot started, z up,
-  {{odom}} is the estimate by the legs alone, {{body}} moves with the robot, x forward, y left, z up. {{odom}} begins anew
+  {{odom}} is the estimate by the legs alone, {{body}} moves with the robot, x forward, y left, z up. {{odom}} starts again
   whenever the robot has stood up ([Odometry](#actuatorodometry-odometry)).
 - `sextant topics echo KEY` prints messages, `sextant topics hz` measures rates and bandwidth.
 - A program of your own may publish under any other key, such as `{namespace}_survey/ground`: no service reads it, and `sextant

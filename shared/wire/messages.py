@@ -181,7 +181,7 @@ class Imu(Message):
 class Odometry(Message):
     """Leg odometry from the stance legs' joints; actuator -> perception, planner.
 
-    {odom} begins anew, with its origin on the ground below the body, x ahead: when the actuator starts, when the robot has
+    {odom} starts again, with its origin on the ground below the body, x ahead: when the actuator starts, when the robot has
     stood up, and when the legs go on after the servo bus or the actuator was interrupted. `epoch` of ActuatorState changes
     with it.
     """
