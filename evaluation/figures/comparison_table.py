@@ -31,10 +31,12 @@ _NAME = 24  # characters of a run's name
 def comparison(runs: Sequence[RecordedRun]) -> list[list[str]]:
     """Return a header of run names, and a row per quantity with its value per run.
 
-    A dash means not measured.
+    A dash means not measured. If a run had plug-ins, the first row has them.
     """
     names = [run.name if len(run.name) <= _NAME else f"…{run.name[1 - _NAME :]}" for run in runs]
-    return [["", *names], *([words, *(_value(run.numbers, *how) for run in runs)] for words, *how in _ROWS)]
+    plugins = [", ".join(f"{kind} {name}" for kind, name in run.numbers.get("plugins", {}).items()) for run in runs]
+    replaced = [["plug-ins", *(words or "none" for words in plugins)]] if any(plugins) else []
+    return [["", *names], *replaced, *([words, *(_value(run.numbers, *how) for run in runs)] for words, *how in _ROWS)]
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:

@@ -15,6 +15,7 @@ from sextant.shared.files import config
 from sextant.shared.scenario.scenario import Scenario
 
 DOCS = Path(__file__).parents[2] / "docs"
+COURSES = ("first_hour.md", "your_course.md", "foothold_rule.md")  # pages with courses
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -23,7 +24,7 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize("text", [*blocks("first_hour.md", "toml"), *blocks("your_course.md", "toml")])
+@pytest.mark.parametrize("text", [block for page in COURSES for block in blocks(page, "toml")])
 def test_each_course_is_built_with_different_seeds(text: str) -> None:
     scenario = config.build(tomllib.loads(text), Scenario)
     for seed in range(5):
@@ -35,11 +36,12 @@ def test_course_and_rule_of_tutorials_walk(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path.copy())
     sys.modules.pop("my_rules", None)  # of another test
-    (course,), (rule,) = blocks("first_hour.md", "toml"), blocks("foothold_rule.md", "python")
-    Path("my_course.toml").write_text(course.replace("distance = 2.2", "distance = 0.9"))  # into the rubble
+    (course,), (rule,) = blocks("foothold_rule.md", "toml"), blocks("foothold_rule.md", "python")
+    Path("small_blocks.toml").write_text(course)
     Path("my_rules.py").write_text(rule)
-    words = ["trials", "my_course.toml", "--seeds", "1000:1001", "--out", "runs/rule", "--foothold", "my_rules:level"]
+    words = ["trials", "small_blocks.toml", "--seeds", "1000:1001", "--out", "runs/rule", "--foothold", "my_rules:level"]
     assert cli.main([*words, "--set", "planner.step.path_margin_m=0.03"]) == 0
     (run,) = map(json.loads, Path("runs/rule/trials.jsonl").read_text().splitlines())
     assert run["report"]["success"], run["report"]["reason"]
     assert run["report"]["plugins"]["foothold"] == "my_rules:level"
+    assert run["report"]["raised_block_touchdowns"] >= 5, "the course shows nothing of a rule"

@@ -137,6 +137,8 @@ def test_comparison_table_shows_report_values_or_dash(good, fallen):
     assert found["falls"] == ["0", "1"]
     assert found["speed"][0] == f"{100 * good.numbers['speed_mps']:.1f} cm/s"
     assert found["map error, rmse"] == [f"{1000 * run.numbers['map_error_m']['rmse']:.1f} mm" for run in (good, fallen)]
+    ruled = replace(good, numbers={**good.numbers, "plugins": {"foothold": "my_rules:level"}})
+    assert comparison([good, ruled])[1] == ["plug-ins", "none", "foothold my_rules:level"]
     nothing = {**good.numbers, "min_stability_margin_m": None}
     rows = comparison([replace(good, numbers=nothing, name="a-name-that-is-much-too-long-for-a-column")])
     assert dict(rows[1:])["least stability margin"] == "–"
