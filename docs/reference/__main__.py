@@ -1,4 +1,4 @@
-"""Write the reference pages of docs/: `python -m docs.reference [PAGE]...`, in a checkout."""
+"""Write the reference pages of docs/: `python -m docs.reference [KIND]...`, in a checkout."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -13,31 +13,32 @@ from sextant.deploy.terminal.run_command import SUCCESS, run_command
 from sextant.shared.files import whole_files
 
 FOLDER = Path(__file__).parents[1]
-PAGES: dict[str, Callable[[], str]] = {
-    "keys": keys_page.page,
-    "parameters": params_page.page,
-    "commands": lambda: commands_page.page(cli.sextant, "sextant"),
-    "benchmarks": lambda: commands_page.page(benchmarks.benchmarks, benchmarks.PROGRAM),
-    "scenarios": schema_pages.scenarios,
-    "profiles": schema_pages.profiles,
-    "report": schema_pages.report,
+PAGES: dict[str, Callable[[], dict[str, str]]] = {  # of each kind: names of its pages, without .md, and their texts
+    "keys": lambda: {"keys": keys_page.page()},
+    "parameters": lambda: {"parameters": params_page.page()},
+    "commands": lambda: {"commands": commands_page.page(cli.sextant, "sextant")},
+    "benchmarks": lambda: {"benchmarks": commands_page.page(benchmarks.benchmarks, benchmarks.PROGRAM)},
+    "scenarios": lambda: {"scenarios": schema_pages.scenarios()},
+    "profiles": lambda: {"profiles": schema_pages.profiles()},
+    "report": lambda: {"report": schema_pages.report()},
 }
 
 
-def text_of(name: str) -> str:
-    """Return a page as it is in the file."""
-    return PAGES[name]().rstrip("\n") + "\n"
+def texts_of(kind: str) -> dict[str, str]:
+    """Return the pages of a kind by their names, as they are in the files."""
+    return {name: text.rstrip("\n") + "\n" for name, text in PAGES[kind]().items()}
 
 
 @command("python -m docs.reference")
-@argument("pages", "pages to write (default: all)", "[PAGE]...", type=Choice(tuple(PAGES)), nargs=-1)
-def write(pages: tuple[str, ...]) -> int:
+@argument("kinds", "kinds of pages to write (default: all)", "[KIND]...", type=Choice(tuple(PAGES)), nargs=-1)
+def write(kinds: tuple[str, ...]) -> int:
     """Write reference pages into docs/, made from the code; with `scenarios` also the pictures of the terrains."""
-    for name in pages or PAGES:
-        whole_files.write_text(FOLDER / f"{name}.md", text_of(name))
-        if name == "scenarios":
+    for kind in kinds or PAGES:
+        for name, text in texts_of(kind).items():
+            whole_files.write_text(FOLDER / f"{name}.md", text)
+            say(f"docs/{name}.md")
+        if kind == "scenarios":
             terrain_pictures.write(FOLDER / "terrain")
-        say(f"docs/{name}.md")
     return SUCCESS
 
 
