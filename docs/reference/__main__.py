@@ -14,7 +14,7 @@ from sextant.shared.files import whole_files
 
 FOLDER = Path(__file__).parents[1]
 PAGES: dict[str, Callable[[], dict[str, str]]] = {  # of each kind: names of its pages, without .md, and their texts
-    "keys": lambda: {"keys": keys_page.page()},
+    "keys": keys_page.pages,
     "parameters": lambda: {"parameters": params_page.page()},
     "commands": lambda: {"commands": commands_page.page(cli.sextant, "sextant")},
     "benchmarks": lambda: {"benchmarks": commands_page.page(benchmarks.benchmarks, benchmarks.PROGRAM)},

@@ -1,4 +1,4 @@
-"""Generator of docs/keys.md, a page with every key and message.
+"""Generator of docs/keys.md, a page with every key, and of pages with every message, docs/keys_*.md.
 
 It reads the topic table, the process table and the message declarations. The meaning of a field is its comment in the source.
 """
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from docs.reference.parts import Part, anchor, split
 from sextant.deploy.launch.process_table import ROUTER_ENDPOINT, TABLE
 from sextant.deploy.live.send_command import Order
 from sextant.deploy.ros2.bridge import Bridge
@@ -27,6 +28,7 @@ from sextant.shared.wire.messages import Mode, VelocityCommand
 from sextant.shared.wire.transport import Endpoints
 
 CLIENT = Path(__file__).resolve().parents[1] / "walk_client.py"
+_TOPICS = [topic for topic in topics.TOPICS if topic is topics.OF_TYPE[topic.type]]  # one of each message
 
 _BEGINNING = """# Keys and messages
 
@@ -41,7 +43,7 @@ address), with scouting off. A key of this page follows the namespace of the run
   and increments: a subscriber processes all, in order.
 - No message is sent with blocking congestion control: messages that a peer does not receive in time are dropped. The lane
   **control** has precedence (priority `REAL_TIME`, express), **bulk** has priority `DATA`. Services use one session for each.
-- A subscriber refuses a frame that is larger than its topic allows, or not as declared here. It counts the frame and reports
+- A subscriber refuses a frame that is larger than its topic allows, or not as declared. It counts the frame and reports
   the reason in `health`; the last good frame stays in use.
 - Services send a frame with its address, namespace and key as Zenoh's attachment. They drop a frame that arrives under another
   key, as happens behind a suspended router (`shared/wire/transport.py`), and count it in `health`. A frame without attachment
@@ -66,7 +68,7 @@ address), with scouting off. A key of this page follows the namespace of the run
   with `--keys` or `--open` passes messages of other machines only under the keys of the table, with a certificate only those of
   its role ([access.md](access.md)). It drops all others without a report. Processes on its own machine may use any key.
 """
-_OF_FRAMES = """`schema` is the id that each message has below. The dtype of an array is in NumPy's notation: `<f8` is a
+_OF_FRAMES = """`schema` is the id that each message has on its page. The dtype of an array is in NumPy's notation: `<f8` is a
 little-endian float64, `|u1` a uint8, `|b1` a boolean of one byte. `began_ns` and `sent_ns` are the times at which the sender
 began to make the message and sent it; 0 if they are not recorded.
 
@@ -76,16 +78,32 @@ _OF_CLIENT = """## A client
 
 [walk_client.py](walk_client.py) needs `eclipse-zenoh` and `msgpack`, but not Sextant. It takes the lease, walks the robot
 and prints the robot's state; `sextant up all --scenario flat` starts a robot to try it on. `sextant topics list --json` has the
-schema and the fields of each message for programs, so that none has to copy the tables below.
+schema and the fields of each message for programs, so that none has to copy the tables of the messages.
 """
+_PAGES = {  # name of a page of messages: its title, and the first words of their keys
+    "keys_robot": ("Messages of camera, IMU and actuator", ("camera", "imu", "actuator")),
+    "keys_map": ("Messages of pose and maps", ("perception", "mapper", "passage")),
+    "keys_walk": ("Messages of planner and operator", ("planner", "operator")),
+    "keys_system": ("Messages of recorder, simulator and machines", ("recorder", "simulator", "health", "machine")),
+}
+_OF_FIELDS = "[Keys and messages](keys.md#the-messages) states the order of legs, joints and points in the arrays."
 
 
-def page() -> str:
-    """Return the page in Markdown.
+def pages() -> dict[str, str]:
+    """Return the pages in Markdown by their names.
 
     Raises:
         ImportError: A service needs a package that is not installed.
     """
+    parts = {
+        name: Part(title, _OF_FIELDS, tuple(_title(topic) for topic in _TOPICS if topic.key.partition("/")[0] in words))
+        for name, (title, words) in _PAGES.items()
+    }
+    return split("keys", _page(), parts, {})
+
+
+def _page() -> str:
+    """Return all in one page."""
     written, read = _writers_and_readers()
     said = comments(inspect.getsource(messages))
     return "\n".join(
@@ -96,7 +114,7 @@ def page() -> str:
             *_client(),
             *_modes(said),
             *_arrays(),
-            *(line for topic in topics.TOPICS if topic is topics.OF_TYPE[topic.type] for line in _message(topic)),
+            *(line for topic in _TOPICS for line in _message(topic)),
         )
     )
 
@@ -107,10 +125,9 @@ def _table(written: Mapping[str, list[str]], read: Mapping[str, list[str]]) -> I
     yield "| key | message | rate | delivery | lane | at most, KiB | published by | subscribed by | over the radio |"
     yield "|---|---|---|---|---|---|---|---|---|"
     for topic in topics.TOPICS:
-        name = topic.type.__name__
         cells = (
             f"`{topic.key}`",
-            f"[{name}](#{topics.OF_TYPE[topic.type].key.replace('/', '')}-{name.lower()})",
+            f"[{topic.type.__name__}](#{anchor(_title(topics.OF_TYPE[topic.type]))})",
             topic.rate,
             topic.delivery.value,
             topic.lane.value,
@@ -233,6 +250,10 @@ def _arrays() -> Iterator[str]:
     profile = load_profile("phantomx_mk2")
     yield "## The messages"
     yield ""
+    yield "Their fields are on these pages:"
+    yield ""
+    yield from (f"- [{title}]({name}.md)" for name, (title, _) in _PAGES.items())
+    yield ""
     yield "The fields are in the order of the frame. An array of six has an entry, or a row, for each leg:"
     yield f"{', '.join(LEGS)}."
     yield f"The columns of joint angles and torques are {', '.join(JOINTS)}, those of points x, y, z."
@@ -243,7 +264,7 @@ def _arrays() -> Iterator[str]:
 
 def _message(topic: AnyTopic) -> Iterator[str]:
     kind = topic.type
-    yield f"### {topic.key} {kind.__name__}"
+    yield f"### {_title(topic)}"
     yield ""
     yield " ".join((inspect.getdoc(kind) or "").split())
     yield ""
@@ -256,3 +277,7 @@ def _message(topic: AnyTopic) -> Iterator[str]:
         what = "; ".join(filter(None, (row.what, names and f"one of {names}"))).replace("|", "\\|")
         yield f"| `{row.name}` | {row.type} | {' × '.join(map(str, row.shape))} | {row.unit} | {row.frame} | {what} |"
     yield ""
+
+
+def _title(topic: AnyTopic) -> str:
+    return f"{topic.key} {topic.type.__name__}"

@@ -1,4 +1,4 @@
-"""docs/keys.md equals the command's output, and describes the frames on the wire."""
+"""docs/keys.md and the pages of the messages describe the frames on the wire."""
 
 import ast
 import re
@@ -13,14 +13,14 @@ from sextant.shared.wire.topics import OF_TYPE, TOPICS
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "keys.md").read_text(encoding="utf-8")
+OF_MESSAGES = {path.name: path.read_text(encoding="utf-8") for path in DOCS.glob("keys_*.md")}
 CLIENT = (DOCS / "walk_client.py").read_text(encoding="utf-8")
 
 
 def section(key: str) -> str:
-    """Return the page's section about a message."""
-    found = re.search(rf"^### {key} \w+\n(.*?)(?=^###|\Z)", PAGE, re.DOTALL | re.MULTILINE)
-    assert found is not None
-    return found[1]
+    """Return the section about a message."""
+    (found,) = re.findall(rf"^## {key} \w+\n(.*?)(?=^##|\Z)", "\n".join(OF_MESSAGES.values()), re.DOTALL | re.MULTILINE)
+    return str(found)
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.key)
@@ -29,10 +29,11 @@ def test_each_message_section_has_schema_and_ordered_fields(topic: messages.Mess
     said = section(OF_TYPE[kind].key)
     assert f"`{codec.schema_id(kind)}`" in said
     assert re.findall(r"^\| `(\w+)`", said, re.MULTILINE) == [name for name, _, _ in messages.schema(kind)]
-    link = re.search(rf"^\| `{topic.key}` \| \[\w+\]\(#([\w-]+)\)", PAGE, re.MULTILINE)  # type: ignore[attr-defined]
+    link = re.search(rf"^\| `{topic.key}` \| \[\w+\]\((keys_\w+\.md)#([\w-]+)\)", PAGE, re.MULTILINE)  # type: ignore[attr-defined]
     assert link is not None
     title = f"{OF_TYPE[kind].key} {kind.__name__}"  # one section for the keys of all roles
-    assert link[1] == re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-"), "as pages make anchors of titles"
+    assert f"## {title}\n" in OF_MESSAGES[link[1]]
+    assert link[2] == re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-"), "as pages make anchors of titles"
 
 
 @pytest.mark.parametrize(

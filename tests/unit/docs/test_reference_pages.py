@@ -12,6 +12,7 @@ import pytest
 from docs.reference import __main__ as reference
 from docs.reference import terrain_pictures
 from docs.reference.__main__ import PAGES, texts_of
+from docs.reference.parts import Part, split
 from docs.reference.schema_tables import tables_of
 from sextant.evaluation.report import Report
 from sextant.shared.field_comments import comments_of, parse
@@ -79,3 +80,14 @@ def test_picture_shows_example(kind: str) -> None:
     assert stored is not None
     error = np.abs(stored[..., ::-1].astype(float) - terrain_pictures.draw(kind)).mean()
     assert error < 4.0, "make it again: python -m docs.reference scenarios"
+
+
+def test_split_page_keeps_order_levels_and_links() -> None:
+    text = "# All\n\n## A\n\n[b](#b)\n\n### `B`\n\n```sh\n# no heading\n```\n\n#### Inner\n\n[a](#a)\n\n### C\n\n## B\n"
+    pages = split("all", text, {"all_b": Part("Of B", "Text.", ("B",))}, {"B": "second letter"})
+    assert pages["all"].endswith(
+        "## A\n\n[b](all_b.md#b)\n\n| name | meaning |\n|---|---|\n| [`B`](all_b.md#b) | second letter |\n\n### C\n\n## B"
+    )
+    assert pages["all_b"].endswith("\n\nText.\n\n## `B`\n\n```sh\n# no heading\n```\n\n### Inner\n\n[a](all.md#a)\n")
+    with pytest.raises(ValueError, match="has no sections D"):
+        split("all", text, {"all_d": Part("Of D", "", ("D",))}, {})
