@@ -1,7 +1,7 @@
 """Base of parameters: frozen dataclasses that a user may tune.
 
 Each algorithm declares its parameters in the `params.py` of its folder. The comment of a field states unit, meaning and source;
-`ranged` declares default and allowed range. `docs/parameters.md` lists all of them.
+`ranged` declares default and allowed range. `docs/parameters.md` leads to all of them.
 """
 
 from sextant.shared.files import config

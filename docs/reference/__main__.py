@@ -4,9 +4,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks import cli as benchmarks
 from docs.reference import commands_page, keys_page, params_page, schema_pages, terrain_pictures
-from sextant.deploy import cli
 from sextant.deploy.terminal.arguments import Choice, argument, command
 from sextant.deploy.terminal.output import say
 from sextant.deploy.terminal.run_command import SUCCESS, run_command
@@ -15,9 +13,9 @@ from sextant.shared.files import whole_files
 FOLDER = Path(__file__).parents[1]
 PAGES: dict[str, Callable[[], dict[str, str]]] = {  # of each kind: names of its pages, without .md, and their texts
     "keys": keys_page.pages,
-    "parameters": lambda: {"parameters": params_page.page()},
-    "commands": lambda: {"commands": commands_page.page(cli.sextant, "sextant")},
-    "benchmarks": lambda: {"benchmarks": commands_page.page(benchmarks.benchmarks, benchmarks.PROGRAM)},
+    "parameters": params_page.pages,
+    "commands": commands_page.sextant,
+    "benchmarks": commands_page.benchmarks,
     "scenarios": lambda: {"scenarios": schema_pages.scenarios()},
     "profiles": lambda: {"profiles": schema_pages.profiles()},
     "report": lambda: {"report": schema_pages.report()},

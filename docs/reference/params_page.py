@@ -1,9 +1,10 @@
-"""Generator of docs/parameters.md, a page with every parameter of the services.
+"""Generator of docs/parameters.md, which lists the groups of parameters, and of a page with the parameters of each service.
 
 It reads the declarations of the parameters. The meaning of a parameter is its comment in the source.
 """
 
 import inspect
+import re
 from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -45,36 +46,60 @@ sextant trials cobbles --seeds 1000:1010 --jobs 2 --set planner.step.path_margin
 Values that do not fit each other or the robot are refused when the services start, with the reason.
 
 In code each algorithm takes its dataclass: `LocalGroundMap(CostmapParams(max_step_m=0.05))`.
+
+## Groups
+
+A link leads to the parameters of the group, with default, range, unit and meaning.
+"""
+_SENTENCE_END = re.compile(r"\.(?: (?=[A-Z])|$)")
+_SERVICE = """# Parameters: {name}
+
+*`python -m docs.reference parameters` makes this page from the declarations of the parameters; a test checks that it is up to
+date.* [Parameters](parameters.md) tells how to set them.
 """
 
 
-def page() -> str:
-    """Return the page in Markdown."""
-    return "\n".join([_BEGINNING, *_group(SystemParams(), "")])
+def pages() -> dict[str, str]:
+    """Return the pages in Markdown by their names."""
+    table, services = ["| group | meaning |", "|---|---|"], {}
+    for field in fields(SystemParams):
+        groups = dict(_groups(field.name, getattr(SystemParams(), field.name)))
+        page = f"parameters_{field.name}"
+        for name, group in groups.items():
+            table.append(f"| [`{name}`]({page}.md#{name.replace('.', '')}) | {_SENTENCE_END.split(_about(group))[0]} |")
+        services[page] = "\n".join(
+            (_SERVICE.format(name=field.name), *(line for each in groups.items() for line in _section(*each)))
+        )
+    return {"parameters": "\n".join((_BEGINNING, *table)), **services}
 
 
-def _group(group: Params, name: str) -> Iterator[str]:
-    """Yield the lines of a group of parameters: its own, then its groups."""
-    own = [field for field in fields(group) if not isinstance(getattr(group, field.name), Params)]  # type: ignore[arg-type]
-    if name:
-        yield f"{'#' * (2 + name.count('.'))} {name}"
-        yield ""
-        yield " ".join((inspect.getdoc(type(group)) or "").split())
-        yield ""
-    if own:
-        yield "| parameter | default | range | unit | meaning |"
-        yield "|---|---|---|---|---|"
-        said, hints = comments_of(type(group)), get_type_hints(type(group))
-        for field in own:
-            default = toml_value(config.as_table(getattr(group, field.name)))
-            unit, _, what = parse(said.get(field.name, ""))
-            what = what.replace("|", "\\|")
-            yield f"| `{field.name}` | {default} | {_range(hints[field.name], config.range_of(field))} | {unit} | {what} |"
-        yield ""
+def _groups(name: str, group: Params) -> Iterator[tuple[str, Params]]:
+    """Yield a group of parameters and those in it, to any depth, each with its dotted name."""
+    yield name, group
     for field in fields(group):  # type: ignore[arg-type]
         value = getattr(group, field.name)
         if isinstance(value, Params):
-            yield from _group(value, f"{name}.{field.name}" if name else field.name)
+            yield from _groups(f"{name}.{field.name}", value)
+
+
+def _about(group: Params) -> str:
+    return " ".join((inspect.getdoc(type(group)) or "").split())
+
+
+def _section(name: str, group: Params) -> Iterator[str]:
+    """Yield the lines about a group of parameters: its heading, its docstring, and a table of its own parameters."""
+    yield from (f"{'#' * (2 + name.count('.'))} {name}", "", _about(group), "")
+    own = [field for field in fields(group) if not isinstance(getattr(group, field.name), Params)]  # type: ignore[arg-type]
+    if not own:
+        return
+    yield from ("| parameter | default | range | unit | meaning |", "|---|---|---|---|---|")
+    said, hints = comments_of(type(group)), get_type_hints(type(group))
+    for field in own:
+        default = toml_value(config.as_table(getattr(group, field.name)))
+        unit, _, what = parse(said.get(field.name, ""))
+        what = what.replace("|", "\\|")
+        yield f"| `{field.name}` | {default} | {_range(hints[field.name], config.range_of(field))} | {unit} | {what} |"
+    yield ""
 
 
 def _range(hint: Any, limits: tuple[float, float] | None) -> str:

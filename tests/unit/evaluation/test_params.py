@@ -35,7 +35,7 @@ REPORT = Report(
     "", 0, "phantomx_mk2", "tripod", blind=False, success=True, reason="goal reached", distance_m=2.5, duration_s=25.0,
     speed_mps=0.1, falls=0, shutdowns=0, steps=24,
 )  # fmt: skip
-PAGE = Path(__file__).parents[3] / "docs" / "parameters.md"
+DOCS = Path(__file__).parents[3] / "docs"
 STEP = "planner.costmap.max_step_m=0.07"
 
 
@@ -106,7 +106,8 @@ def test_parameters_of_running_services_cannot_be_set(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize("name", [name for name, *_ in NUMBERS])
 def test_page_states_unit_or_meaning_of_each_number(name: str) -> None:
     group, _, field = name.rpartition(".")
-    section = PAGE.read_text().split(f"# {group}\n")[1].split("\n#")[0]
+    page = DOCS / f"parameters_{name.partition('.')[0]}.md"
+    section = page.read_text(encoding="utf-8").split(f"# {group}\n")[1].split("\n#")[0]
     row = next(line for line in section.splitlines() if line.startswith(f"| `{field}` |"))
     assert row.split(" | ")[4].strip(" |"), f"{name} has no comment"
 
