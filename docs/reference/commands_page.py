@@ -1,17 +1,17 @@
 """Generators of the pages of the commands: of `sextant` in docs/commands.md, of the benchmarks in docs/benchmarks.md.
 
-The first page lists the commands; each further one has the help of some of them.
+The first page lists the commands; the pages of its parts have their help.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import click
 
 from benchmarks import cli as benchmarks_cli
+from docs.reference.parts import Part, split
 from sextant.deploy import cli
 
 _WIDTH = 90  # [characters] of the help
-_Parts = Mapping[str, tuple[str, tuple[str, ...]]]  # end of a page's name -> title of the page, and its commands in order
 _SEXTANT = """# Commands
 
 *`python -m docs.reference commands` makes this page from the commands; a test checks that it is up to date.*
@@ -19,12 +19,16 @@ _SEXTANT = """# Commands
 Every command prints its help with `--help`. The exit status is 0 only on success, 1 for a failed run, 2 for invalid input, 130
 after Ctrl-C. `--json` prints the result for scripts. A link leads to the arguments and options of the command.
 """
-_SEXTANT_PARTS: _Parts = {
-    "walk": ("walks in simulation", ("demo", "run", "trials", "trials table")),
-    "robot": ("operation of a robot", ("up", "fleet", "order", "service", "doctor")),
-    "recordings": ("recordings and figures", ("record", "recording", "video", "plot")),
-    "network": ("topics and certificates", ("topics", "keys")),
-    "hardware": ("servos and robot profiles", ("servos", "robot")),
+_ABOUT = "[Commands](commands.md) lists all of them."
+_SEXTANT_PARTS = {
+    f"commands_{name}": Part(f"Commands: {title}", _ABOUT, tuple(f"sextant {command}" for command in commands))
+    for name, title, commands in (
+        ("walk", "walks in simulation", ("demo", "run", "trials", "trials table")),
+        ("robot", "operation of a robot", ("up", "fleet", "order", "service", "doctor")),
+        ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
+        ("network", "topics and certificates", ("keys", "topics")),
+        ("hardware", "servos and robot profiles", ("robot", "servos")),
+    )
 }
 _BENCHMARKS = """# Benchmarks
 
@@ -33,63 +37,39 @@ _BENCHMARKS = """# Benchmarks
 The benchmarks compare Sextant with other libraries, inject faults and attack it. They run in a checkout. Of these, `speed`,
 `stages`, `passage` and `servos` need the other libraries, which `pip install -e '.[bench]'` brings.
 """
-_PART = """# {heading}: {title}
-
-*`python -m docs.reference {kind}` makes this page from the commands; a test checks that it is up to date.*
-
-[{heading}]({kind}.md) lists all commands.
-"""
 
 
 def sextant() -> dict[str, str]:
     """Return the pages of `sextant` in Markdown by their names."""
-    return _pages("commands", cli.sextant, "sextant", _SEXTANT, _SEXTANT_PARTS)
+    program = click.Context(cli.sextant, info_name="sextant", terminal_width=_WIDTH)
+    return split("commands", _page(program, _SEXTANT), _SEXTANT_PARTS, dict(_index(program)))
 
 
 def benchmarks() -> dict[str, str]:
     """Return the page of the benchmarks in Markdown by its name."""
     program = click.Context(benchmarks_cli.benchmarks, info_name=benchmarks_cli.PROGRAM, terminal_width=_WIDTH)
-    lines = (line for context in _commands_of(program).values() for line in _details(context, 2))
-    return {"benchmarks": "\n".join((_BENCHMARKS, *lines))}
+    return {"benchmarks": _page(program, _BENCHMARKS)}
 
 
-def _pages(kind: str, group: click.Group, program: str, beginning: str, parts: _Parts) -> dict[str, str]:
-    """Return the page that lists the commands of a program, named as its kind, and a page for each of its parts.
-
-    Raises:
-        ValueError: A command is in none of the parts.
-    """
-    commands = _commands_of(click.Context(group, info_name=program, terminal_width=_WIDTH))
-    if left := commands.keys() - {name for _, names in parts.values() for name in names}:
-        raise ValueError(f"commands in no part of {kind}: {', '.join(sorted(left))}")
-    table, pages = ["| page | command | what it does |", "|---|---|---|"], {}
-    for part, (title, names) in parts.items():
-        page, cell = f"{kind}_{part}", f"[{title}]({kind}_{part}.md)"
-        for single in (one for name in names for one in _single_commands(commands[name])):
-            path, what = single.command_path, single.command.get_short_help_str()
-            table.append(f"| {cell} | [`{path}`]({page}.md#{path.replace(' ', '-')}) | {what} |")
-            cell = ""
-        beginning_of_part = _PART.format(heading=kind.capitalize(), kind=kind, title=title)
-        pages[page] = "\n".join((beginning_of_part, *(line for name in names for line in _details(commands[name], 2))))
-    return {kind: "\n".join((beginning, *table)), **pages}
+def _page(program: click.Context, beginning: str) -> str:
+    """Return all in one page."""
+    return "\n".join((beginning, *(line for one in _commands(program) for line in _details(one, 2))))
 
 
-def _commands_of(group: click.Context) -> dict[str, click.Context]:
+def _index(context: click.Context) -> Iterator[tuple[str, str]]:
+    """Yield each command below a context, as it is typed, and what it does."""
+    for one in _commands(context):
+        if isinstance(one.command, click.Group):
+            yield from _index(one)
+        else:
+            yield one.command_path, one.command.get_short_help_str()
+
+
+def _commands(group: click.Context) -> Iterator[click.Context]:
     assert isinstance(group.command, click.Group)
-    return {
-        name: click.Context(command, group, name, terminal_width=_WIDTH)
-        for name, command in group.command.commands.items()
-        if not command.hidden or " " in name  # a command of two words is hidden from the list only
-    }
-
-
-def _single_commands(context: click.Context) -> Iterator[click.Context]:
-    """Yield a command, or the commands of a group."""
-    if not isinstance(context.command, click.Group):
-        yield context
-        return
-    for one in _commands_of(context).values():
-        yield from _single_commands(one)
+    for name, command in group.command.commands.items():
+        if not command.hidden or " " in name:  # a command of two words is hidden from the list only
+            yield click.Context(command, group, name, terminal_width=_WIDTH)
 
 
 def _details(context: click.Context, level: int) -> Iterator[str]:
@@ -97,7 +77,7 @@ def _details(context: click.Context, level: int) -> Iterator[str]:
     yield from (f"{'#' * level} {context.command_path}", "")
     if isinstance(context.command, click.Group):
         yield from (context.command.help or "", "")
-        for one in _commands_of(context).values():
+        for one in _commands(context):
             yield from _details(one, level + 1)
     else:
         yield from ("```text", *context.command.get_help(context).splitlines(), "```", "")

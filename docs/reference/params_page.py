@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from docs.reference.parts import Part, split
 from sextant.evaluation.params import SystemParams
 from sextant.shared.field_comments import comments_of, parse
 from sextant.shared.files import config
@@ -51,26 +52,17 @@ In code each algorithm takes its dataclass: `LocalGroundMap(CostmapParams(max_st
 
 A link leads to the parameters of the group, with default, range, unit and meaning.
 """
+_ABOUT = "[Parameters](parameters.md) tells how to set them."
 _SENTENCE_END = re.compile(r"\.(?: (?=[A-Z])|$)")
-_SERVICE = """# Parameters: {name}
-
-*`python -m docs.reference parameters` makes this page from the declarations of the parameters; a test checks that it is up to
-date.* [Parameters](parameters.md) tells how to set them.
-"""
 
 
 def pages() -> dict[str, str]:
     """Return the pages in Markdown by their names."""
-    table, services = ["| group | meaning |", "|---|---|"], {}
-    for field in fields(SystemParams):
-        groups = dict(_groups(field.name, getattr(SystemParams(), field.name)))
-        page = f"parameters_{field.name}"
-        for name, group in groups.items():
-            table.append(f"| [`{name}`]({page}.md#{name.replace('.', '')}) | {_SENTENCE_END.split(_about(group))[0]} |")
-        services[page] = "\n".join(
-            (_SERVICE.format(name=field.name), *(line for each in groups.items() for line in _section(*each)))
-        )
-    return {"parameters": "\n".join((_BEGINNING, *table)), **services}
+    services = [field.name for field in fields(SystemParams)]
+    groups = {name: group for service in services for name, group in _groups(service, getattr(SystemParams(), service))}
+    text = "\n".join((_BEGINNING, *(line for name, group in groups.items() for line in _section(name, group))))
+    parts = {f"parameters_{service}": Part(f"Parameters: {service}", _ABOUT, (service,)) for service in services}
+    return split("parameters", text, parts, {name: _SENTENCE_END.split(_about(group))[0] for name, group in groups.items()})
 
 
 def _groups(name: str, group: Params) -> Iterator[tuple[str, Params]]:
