@@ -15,7 +15,7 @@ from sextant import plugins
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-GENERATED = {"benchmarks", "scenarios"}
+GENERATED = {"benchmarks"}
 _LOADED = {"script": "src", "img": "src", "link": "href"}  # tags whose files the browser loads by itself
 
 

@@ -16,7 +16,7 @@ PAGES: dict[str, Callable[[], dict[str, str]]] = {  # of each kind: names of its
     "parameters": params_page.pages,
     "commands": commands_page.sextant,
     "benchmarks": commands_page.benchmarks,
-    "scenarios": lambda: {"scenarios": schema_pages.scenarios()},
+    "scenarios": schema_pages.scenarios,
     "profiles": lambda: {"profiles": schema_pages.profiles()},
     "report": lambda: {"report": schema_pages.report()},
 }

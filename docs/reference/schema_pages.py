@@ -1,15 +1,19 @@
-"""Generators of docs/scenarios.md, docs/profiles.md and docs/report.md."""
+"""Generators of docs/scenarios.md and docs/scenarios_*.md, docs/profiles.md and docs/report.md."""
 
-from docs.reference.schema_tables import Layout, tables
+import inspect
+from typing import get_type_hints
+
+from docs.reference.parts import Part, split
+from docs.reference.schema_tables import Layout, kind_of, tables, tables_of
 from docs.reference.terrain_pictures import EXAMPLES
 from sextant.evaluation.report import Report
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.scenario.scenario import Course, Scenario
 
 _SCENARIO = """# Scenario format
 
-*`python -m docs.reference scenarios` makes this page and its pictures from the schema
-(`shared/scenario/scenario.py`); a test checks that it is up to date.*
+*`python -m docs.reference scenarios` makes this page, the pages of its parts and their pictures from the schema
+(`shared/scenario/scenario.py`); a test checks that they are up to date.*
 
 A scenario is a TOML file with a course and the parameters to walk it. `sextant run FILE.toml`, `trials`, `demo` and
 `up --scenario` take its path. {world} has its origin on the ground below the robot's start; x is its heading at yaw 0, z is up.
@@ -31,6 +35,19 @@ The [scenarios of the program](../shared/scenario/scenarios/mixed.toml) are file
 may be in a separate file, a trouble, which is laid over any course by a plus sign: `sextant run steps+legs`. The program has
 `sun`, `legs` and `sparse`.
 """
+_PICTURE = "Each picture shows the example below it with seed 1000; the robot stands at the origin."
+_PARTS = {
+    "scenarios_ground": Part("Terrain: ground", _PICTURE, ("plane", "hole", "slope", "height_map", "puddle", "puddles")),
+    "scenarios_blocks": Part(
+        "Terrain: blocks, stairs, pillars", _PICTURE, ("box", "stairs", "pillars", "pillar_field", "rubble")
+    ),
+    "scenarios_course": Part("Terrain: courses of stretches", _PICTURE, ("course",)),
+    "scenarios_faults": Part(
+        "Faults, movers and link of a scenario",
+        "[Scenario format](scenarios.md) describes the file and its other tables.",
+        ("[[faults]]", "[[bus_faults]]", "[[movers]]", "[link]"),
+    ),
+}
 _PROFILE = """# Profile format
 
 *`python -m docs.reference profiles` makes this page from the schema (`shared/robot/profile.py`); a test checks that it is up to
@@ -53,17 +70,20 @@ shares; texts, truth values and tables have none. Keys are in the order of this 
 """
 
 
-def scenarios() -> str:
-    """Return the page of the scenario format in Markdown."""
+def scenarios() -> dict[str, str]:
+    """Return the pages of the scenario format in Markdown by their names."""
     notes = {
-        "terrain": "The ground is all of these together. Each picture shows the example below it with seed 1000; the robot "
-        "stands at the origin.",
+        "terrain": "The ground is all of these together. A `course` has stretches of the last six kinds below.",
+        "terrain.stretches": "In each picture level ground is before and behind the stretch.",
         "bus_faults": "[The servo bus under faults](actuator.md) lists what each kind does, and which parameters it takes.",
     }
     for kind, example in EXAMPLES.items():
         notes[f"{example.place}.{kind}"] = f"![{kind}](terrain/{kind}.webp)\n\n```toml\n{example.toml}\n```"
     layout = Layout(toml=True, leave_out=frozenset(("plugins", "folder")), before=notes)
-    return "\n".join((_SCENARIO, *tables(Scenario, layout)))
+    hints = get_type_hints(Scenario)["terrain"], get_type_hints(Course)["stretches"]
+    kinds = [kind for hint in hints for kind in tables_of(hint)[0]]
+    index = {kind_of(kind): (inspect.getdoc(kind) or "").partition("\n")[0] for kind in kinds}
+    return split("scenarios", "\n".join((_SCENARIO, *tables(Scenario, layout))), _PARTS, index)
 
 
 def profiles() -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from datetime import date
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from docs.reference.parts import anchor
 from sextant.shared.field_comments import comments_of, parse
 from sextant.shared.files import config
 from sextant.shared.runtime.process import toml_value
@@ -30,7 +31,7 @@ class Layout:
 
 def tables(schema: type[Any], layout: Layout) -> Iterator[str]:
     """Yield the lines of a schema's tables: its own fields, then its nested tables."""
-    yield from _fields(schema, layout, layout.leave_out)
+    yield from _fields(schema, layout, "", layout.leave_out)
     yield from _nested(schema, layout, "", 2, layout.leave_out)
 
 
@@ -49,7 +50,7 @@ def _nested(schema: type[Any], layout: Layout, path: str, level: int, leave_out:
             continue
         yield from (f"The key `kind` selects one of {len(inner)} kinds.", "")
         for kind in inner:
-            word = get_args(get_type_hints(kind)["kind"])[0]
+            word = kind_of(kind)
             yield from ("#" * (level + 1) + f" `{word}`", "")
             yield from _table(kind, layout, place, level + 1, layout.before.get(f"{place}.{word}", ""), of_union=True)
 
@@ -58,11 +59,11 @@ def _table(kind: type[Any], layout: Layout, place: str, level: int, before: str 
     yield from (inspect.getdoc(kind) or "", "")
     if before:
         yield from (before, "")
-    yield from _fields(kind, layout, frozenset(["kind"] if of_union else []))
+    yield from _fields(kind, layout, place, frozenset(["kind"] if of_union else []))
     yield from _nested(kind, layout, place, level + 1)
 
 
-def _fields(schema: type[Any], layout: Layout, leave_out: frozenset[str] = frozenset()) -> Iterator[str]:
+def _fields(schema: type[Any], layout: Layout, place: str, leave_out: frozenset[str]) -> Iterator[str]:
     said, hints = comments_of(schema), get_type_hints(schema)
     columns = ("key", "type", *(["default"] if layout.toml else []), "unit", "meaning")
     yield f"| {' | '.join(columns)} |"
@@ -72,7 +73,8 @@ def _fields(schema: type[Any], layout: Layout, leave_out: frozenset[str] = froze
             continue
         unit, frame, what = parse(said.get(one.name, ""))
         meaning = ", ".join(filter(None, (what, f"in {{{frame}}}" if frame else "")))
-        cells = (f"`{one.name}`", _type(hints[one.name]), *([_default(one)] if layout.toml else []), unit, meaning)
+        key = f"[`{one.name}`](#{anchor(place + one.name)})" if tables_of(hints[one.name])[0] else f"`{one.name}`"
+        cells = (key, _type(hints[one.name]), *([_default(one)] if layout.toml else []), unit, meaning)
         yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
     yield ""
 
@@ -100,6 +102,11 @@ def _type(hint: Any) -> str:
     if origin is dict or dataclasses.is_dataclass(hint):
         return "table"
     return _TYPES[hint]
+
+
+def kind_of(schema: type[Any]) -> str:
+    """Return the value of `kind` that selects a table."""
+    return str(get_args(get_type_hints(schema)["kind"])[0])
 
 
 def tables_of(hint: Any) -> tuple[tuple[type[Any], ...], bool]:

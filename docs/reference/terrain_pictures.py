@@ -1,4 +1,4 @@
-"""An example of each kind of terrain, and its picture, for docs/scenarios.md."""
+"""An example of each kind of terrain, and its picture, for the pages of docs/scenarios.md."""
 
 import tomllib
 from dataclasses import replace
@@ -37,13 +37,14 @@ class Example(NamedTuple):
     toml: str
     around: str = _PLANE
     place: str = "terrain"  # table in a scenario
+    behind: str = ""  # further ground in the picture
 
 
 def _stretch(toml: str) -> Example:
-    """Return an example of a stretch: a course with level ground before and behind it."""
+    """Return an example of a stretch, with level ground before and behind it in the picture."""
     level = '[[terrain.stretches]]\nkind = "level"\nlength = {}'
-    course = '[[terrain]]\nkind = "course"\nwidth = 0.9'
-    return Example("\n\n".join([course, level.format(0.9), toml, level.format(0.6)]), _ABYSS, "terrain.stretches")
+    course = f'{_ABYSS}\n\n[[terrain]]\nkind = "course"\nwidth = 0.9\n\n{level.format(0.9)}'
+    return Example(toml, course, "terrain.stretches", level.format(0.6))
 
 
 _PLATFORMS = f"""{_ABYSS}
@@ -103,13 +104,13 @@ EXAMPLES = {
     ),
     "stones": _stretch('[[terrain.stretches]]\nkind = "stones"\nlength = 0.75\nsize = 0.13\ngap = 0.05\njitter = 0.01'),
     "gap": _stretch('[[terrain.stretches]]\nkind = "gap"\nlength = 0.12'),
-}  # kind -> example; a stretch is shown in its course
+}  # kind -> example
 
 
 def scenario(kind: str) -> Scenario:
     """Return the scenario of an example with the ground around it."""
     example = EXAMPLES[kind]
-    table: dict[str, Any] = tomllib.loads(f"{example.around}\n\n{example.toml}")
+    table: dict[str, Any] = tomllib.loads(f"{example.around}\n\n{example.toml}\n\n{example.behind}")
     made = config.build({"name": kind, "goal": {"distance": 1.0}, **table}, Scenario, kind)
     return replace(made, folder=str(resources.files("sextant.shared.scenario.scenarios")))
 
