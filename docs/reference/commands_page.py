@@ -3,7 +3,7 @@
 The first page lists the commands; the pages of its parts have their help.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import click
 
@@ -19,41 +19,52 @@ _SEXTANT = """# Commands
 Every command prints its help with `--help`. The exit status is 0 only on success, 1 for a failed run, 2 for invalid input, 130
 after Ctrl-C. `--json` prints the result for scripts. A link leads to the arguments and options of the command.
 """
-_ABOUT = "[Commands](commands.md) lists all of them."
-_SEXTANT_PARTS = {
-    f"commands_{name}": Part(f"Commands: {title}", _ABOUT, tuple(f"sextant {command}" for command in commands))
-    for name, title, commands in (
-        ("walk", "walks in simulation", ("demo", "run", "trials", "trials table")),
-        ("robot", "operation of a robot", ("up", "fleet", "order", "service", "doctor")),
-        ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
-        ("network", "topics and certificates", ("keys", "topics")),
-        ("hardware", "servos and robot profiles", ("robot", "servos")),
-    )
-}
+_OF_SEXTANT = (  # end of a page's name, its title and its commands
+    ("walk", "walks in simulation", ("demo", "run", "trials", "trials table")),
+    ("robot", "operation of a robot", ("up", "fleet", "order", "service", "doctor")),
+    ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
+    ("network", "topics and certificates", ("keys", "topics")),
+    ("hardware", "servos and robot profiles", ("robot", "servos")),
+)
 _BENCHMARKS = """# Benchmarks
 
 *`python -m docs.reference benchmarks` makes this page from the commands; a test checks that it is up to date.*
 
 The benchmarks compare Sextant with other libraries, inject faults and attack it. They run in a checkout. Of these, `speed`,
-`stages`, `passage` and `servos` need the other libraries, which `pip install -e '.[bench]'` brings.
+`stages`, `passage` and `servos` need the other libraries, which `pip install -e '.[bench]'` brings. A link leads to the
+options of the benchmark.
 """
+_OF_BENCHMARKS = (
+    ("algorithms", "accuracy and speed of algorithms", ("accuracy", "speed", "stages", "passage")),
+    ("attacks", "attacks", ("access", "strangers", "roles", "fuzz")),
+    ("robot", "servos and faults of the robot", ("servos", "bus", "start", "faults")),
+    ("system", "radio, load and resources", ("fleet", "link", "page", "recording", "soak", "size")),
+)
 
 
 def sextant() -> dict[str, str]:
     """Return the pages of `sextant` in Markdown by their names."""
-    program = click.Context(cli.sextant, info_name="sextant", terminal_width=_WIDTH)
-    return split("commands", _page(program, _SEXTANT), _SEXTANT_PARTS, dict(_index(program)))
+    return _pages("commands", cli.sextant, "sextant", _SEXTANT, _OF_SEXTANT)
 
 
 def benchmarks() -> dict[str, str]:
-    """Return the page of the benchmarks in Markdown by its name."""
-    program = click.Context(benchmarks_cli.benchmarks, info_name=benchmarks_cli.PROGRAM, terminal_width=_WIDTH)
-    return {"benchmarks": _page(program, _BENCHMARKS)}
+    """Return the pages of the benchmarks in Markdown by their names."""
+    return _pages("benchmarks", benchmarks_cli.benchmarks, benchmarks_cli.PROGRAM, _BENCHMARKS, _OF_BENCHMARKS)
 
 
-def _page(program: click.Context, beginning: str) -> str:
-    """Return all in one page."""
-    return "\n".join((beginning, *(line for one in _commands(program) for line in _details(one, 2))))
+def _pages(
+    kind: str, group: click.Group, program: str, beginning: str, titles: Iterable[tuple[str, str, tuple[str, ...]]]
+) -> dict[str, str]:
+    heading = kind.capitalize()
+    parts = {
+        f"{kind}_{name}": Part(
+            f"{heading}: {title}", f"[{heading}]({kind}.md) lists all of them.", tuple(f"{program} {one}" for one in commands)
+        )
+        for name, title, commands in titles
+    }
+    context = click.Context(group, info_name=program, terminal_width=_WIDTH)
+    text = "\n".join((beginning, *(line for one in _commands(context) for line in _details(one, 2))))
+    return split(kind, text, parts, dict(_index(context)))
 
 
 def _index(context: click.Context) -> Iterator[tuple[str, str]]:

@@ -23,7 +23,7 @@ def split(name: str, text: str, parts: Mapping[str, Part], index: Mapping[str, s
         index: Title of a section -> its meaning. The rows of a table with links, in place of the first section that moves.
 
     Raises:
-        ValueError: A part names a section that the page does not have.
+        ValueError: A part names a section that the page does not have, or the index one that no part takes.
     """
     note = f"*`python -m docs.reference {name}` makes this page; a test checks that it is up to date.*"
     pages = {name: [], **{one: [f"# {part.title}", "", note, "", part.about, ""] for one, part in parts.items()}}
@@ -44,6 +44,8 @@ def split(name: str, text: str, parts: Mapping[str, Part], index: Mapping[str, s
         pages[page].append(line)
     if taken:
         raise ValueError(f"docs/{name}.md has no sections {', '.join(taken)}")
+    if left := [title for title in index if page_of.get(title, name) == name]:
+        raise ValueError(f"no part of docs/{name}.md takes {', '.join(left)}")
     if index:
         rows = (f"| [`{title}`]({page_of[title]}.md#{anchor(title)}) | {meaning} |" for title, meaning in index.items())
         pages[name][place:place] = ["| name | meaning |", "|---|---|", *rows, ""]

@@ -82,7 +82,7 @@ def scenarios() -> dict[str, str]:
     layout = Layout(toml=True, leave_out=frozenset(("plugins", "folder")), before=notes)
     hints = get_type_hints(Scenario)["terrain"], get_type_hints(Course)["stretches"]
     kinds = [kind for hint in hints for kind in tables_of(hint)[0]]
-    index = {kind_of(kind): (inspect.getdoc(kind) or "").partition("\n")[0] for kind in kinds}
+    index = {kind_of(kind): (inspect.getdoc(kind) or "").partition("\n")[0].rstrip(".") for kind in kinds}
     return split("scenarios", "\n".join((_SCENARIO, *tables(Scenario, layout))), _PARTS, index)
 
 

@@ -91,3 +91,5 @@ def test_split_page_keeps_order_levels_and_links() -> None:
     assert pages["all_b"].endswith("\n\nText.\n\n## `B`\n\n```sh\n# no heading\n```\n\n### Inner\n\n[a](all.md#a)\n")
     with pytest.raises(ValueError, match="has no sections D"):
         split("all", text, {"all_d": Part("Of D", "", ("D",))}, {})
+    with pytest.raises(ValueError, match="takes C"):
+        split("all", text, {}, {"C": "third letter"})
