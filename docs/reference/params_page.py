@@ -79,7 +79,7 @@ def _about(group: Params) -> str:
 
 
 def _section(name: str, group: Params) -> Iterator[str]:
-    """Yield the lines about a group of parameters: its heading, its docstring, and a table of its own parameters."""
+    """Yield the lines about a group of parameters: heading, docstring, and a table of those that are in no subgroup."""
     yield from (f"{'#' * (2 + name.count('.'))} {name}", "", _about(group), "")
     own = [field for field in fields(group) if not isinstance(getattr(group, field.name), Params)]  # type: ignore[arg-type]
     if not own:

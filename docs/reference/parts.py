@@ -1,4 +1,4 @@
-"""Split of a long reference page: sections move to pages of their own, and links follow them."""
+"""Split of a long reference page into several pages; links follow their sections."""
 
 import re
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""An example of each kind of terrain, and its picture, for the pages of docs/scenarios.md."""
+"""Examples of the kinds of terrain, drawn for the pages of docs/scenarios.md."""
 
 import tomllib
 from dataclasses import replace
