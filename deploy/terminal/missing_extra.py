@@ -1,5 +1,12 @@
 """Libraries that only an extra of the package brings, and what to do without one."""
 
+import json
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import distribution
+from pathlib import Path
+
 _ALL = "all"  # brings what a simulated robot needs, from several extras
 # Module -> name of its library, and the extra that brings it, the smallest where there are several.
 EXTRAS = {
@@ -34,3 +41,13 @@ def remedy(error: ModuleNotFoundError) -> str:
     return (
         f"{library} is not installed; the extra {extra} brings it: pip install 'sextant[{extra}]', in a checkout '.[{extra}]'"
     )
+
+
+def uvx_command(argv: Sequence[str]) -> list[str]:
+    """Return the command with the extra `all`, if `uvx --from SOURCE sextant` runs this one; else an empty list."""
+    uv, temporary = os.environ.get("UV"), "archive-v0" in Path(sys.prefix).parts  # uv's folder of temporary environments
+    if not (uv and temporary):
+        return []
+    source = json.loads(distribution("sextant").read_text("direct_url.json") or "{}").get("url")
+    wanted = f"sextant[{_ALL}]" + (f" @ {source}" if source else "")
+    return [uv, "tool", "run", "--python", sys.executable, "--from", wanted, "sextant", *argv]

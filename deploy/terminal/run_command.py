@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import click
 
 from sextant.deploy.terminal.arguments import in_one_line, parse
-from sextant.deploy.terminal.missing_extra import remedy
+from sextant.deploy.terminal.missing_extra import remedy, uvx_command
 from sextant.deploy.terminal.output import (
     OutputError,
     complain,
@@ -18,6 +18,7 @@ from sextant.deploy.terminal.output import (
 from sextant.shared.errors import SextantError
 from sextant.shared.files.whole_files import OUT_OF_ROOM, cause
 
+_AGAIN = "SEXTANT_STARTED_AGAIN"  # set in a command that was started again with the extra that it lacked
 SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -67,6 +68,9 @@ def run_command(program: click.Command, name: str, argv: Sequence[str]) -> int:
         words = remedy(error)
         if not words:
             raise
+        if (again := uvx_command(argv)) and _AGAIN not in os.environ:
+            os.environ[_AGAIN] = "1"
+            os.execv(again[0], again)
         complain(f"{name}: {words}")
         return WRONG_INPUT
     except OSError as error:

@@ -5,10 +5,12 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
+import click
 import pytest
 
-from sextant.deploy.terminal import missing_extra
+from sextant.deploy.terminal import missing_extra, run_command
 
 ROOT = Path(__file__).parents[4]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -89,3 +91,31 @@ def test_command_without_its_libraries_names_the_extra(tmp_path):
 def test_other_missing_module_is_a_fault_of_the_program():
     assert missing_extra.remedy(ModuleNotFoundError("No module named 'sextant.gone'", name="sextant.gone")) == ""
     assert missing_extra.remedy(ModuleNotFoundError("nothing is known")) == ""
+
+
+def test_command_that_uvx_runs_without_an_extra_is_started_again_with_it(monkeypatch, capsys):
+    started = []
+
+    def replace(path, words):
+        started.append((path, words))
+        raise SystemExit(0)  # as `os.execv`, it does not return
+
+    def run(words):
+        raise ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
+
+    monkeypatch.setattr(run_command.os, "execv", replace)
+    monkeypatch.setattr(run_command, "parse", lambda _program, name, _argv: SimpleNamespace(path=name, run=lambda: run(name)))
+    monkeypatch.setenv("UV", "/usr/bin/uv")
+    monkeypatch.delenv("SEXTANT_STARTED_AGAIN", raising=False)
+    assert run_command.run_command(click.Command("sextant"), "sextant", ["demo"]) == 2, "an environment that is to stay"
+    monkeypatch.setattr(missing_extra.sys, "prefix", "/root/.cache/uv/archive-v0/abc")
+    with pytest.raises(SystemExit):
+        run_command.run_command(click.Command("sextant"), "sextant", ["demo", "--seed", "3"])
+    path, words = started[0]
+    assert path == words[0] == "/usr/bin/uv"
+    assert words[1:3] == ["tool", "run"]
+    assert words[words.index("--from") + 1].startswith("sextant[all]")
+    assert words[-4:] == ["sextant", "demo", "--seed", "3"]
+    assert run_command.run_command(click.Command("sextant"), "sextant", ["demo"]) == 2, "only once"
+    assert len(started) == 1
+    assert "the extra all brings it" in capsys.readouterr().err
