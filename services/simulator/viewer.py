@@ -9,10 +9,14 @@ _PERIOD_NS = 33_000_000  # [ns] of simulated time between two pictures
 
 
 def launch(model: Any, data: Any) -> Any:
-    """Open the window, and return its handle."""
+    """Open the window, with a camera that follows the robot, and return its handle."""
     import mujoco.viewer  # loads OpenGL, which a machine without a display may lack
 
-    return mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+    handle = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+    with handle.lock():
+        handle.cam.type, handle.cam.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("body").id
+        handle.cam.distance, handle.cam.azimuth, handle.cam.elevation = 1.4, 130.0, -25.0  # [m], [deg]
+    return handle
 
 
 class Viewer:

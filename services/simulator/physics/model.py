@@ -20,6 +20,9 @@ from sextant.shared.scenario.scenario import Variation
 
 TIME_STEP_NS = 2_000_000  # [ns]
 ROBOT_GROUP, TERRAIN_GROUP = 1, 0  # geom groups, for ray casts against only one of them
+# Colours in MuJoCo's viewer and in exported models; the simulated cameras have their own.
+_FLOOR_RGBA, _BLOCK_RGBA = (0.80, 0.80, 0.78, 1.0), (0.66, 0.55, 0.42, 1.0)
+_TRUNK_RGBA, _LEG_RGBA = (0.18, 0.22, 0.28, 1.0), (0.90, 0.50, 0.16, 1.0)
 _FRICTION = (0.8, 0.005, 0.0001)  # sliding [1]; torsional and rolling [m], which contacts with condim = 3 do not use
 _LIMIT_MARGIN = np.radians(5.0)  # [rad] from the servo's limit to the mechanical stop of the brackets
 _TOUCH_RADIUS = 0.013  # [m] margin of the touch sensor around a foot; shank contacts further up are not foot contacts
@@ -59,7 +62,6 @@ def mjcf(profile: RobotProfile) -> str:
     """
     no_boxes = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
     spec = model_spec(profile, Terrain(no_boxes, plane=0.0), Factors.none(), imu=True)
-    spec.worldbody.add_light(name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 3], dir=[0.3, 0.3, -1])
     lens, T = profile.camera.intrinsics, profile.camera.T_body_camera
     view = T[:3, :3] @ np.diag([1.0, -1.0, -1.0])  # a camera of MuJoCo looks along -z, with y up
     fovy = 2 * np.degrees(np.arctan(lens.height / 2 / lens.fy))
@@ -86,6 +88,8 @@ def model_spec(profile: RobotProfile, terrain: Terrain, factors: Factors, imu: b
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # `step` reports divergence instead of a silent reset
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # one robot is one island, so the search for islands is useless
     spec.stat.extent = 1.0
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.25] * 3
+    spec.worldbody.add_light(name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[0.4, 0.3, -1], castshadow=False)
     spec.memory = 64 << 20  # [bytes] a robot that lies on a fine height field has hundreds of contacts
     friction = [_FRICTION[0] * factors.ground_friction, *_FRICTION[1:]]
     _add_terrain(spec, terrain, friction)
@@ -103,20 +107,23 @@ def _ground(friction: list[float]) -> dict[str, Any]:
         "friction": friction,
         "solref": [0.01, 1.0],
         "group": TERRAIN_GROUP,
+        "rgba": _BLOCK_RGBA,
     }
 
 
 def _add_terrain(spec: Any, terrain: Terrain, friction: list[float]) -> None:
     solid, world = _ground(friction), spec.worldbody
+    level = solid | {"rgba": _FLOOR_RGBA}
     ground = terrain.carrying_boxes()
     if terrain.plane is not None and not len(ground):
         plane = mujoco.mjtGeom.mjGEOM_PLANE
-        world.add_geom(name="plane", type=plane, size=[0, 0, 0.05], pos=[0, 0, terrain.plane], **solid)
+        world.add_geom(name="plane", type=plane, size=[0, 0, 0.05], pos=[0, 0, terrain.plane], **level)
     for kind, boxes in (("box", terrain.boxes), ("ground", ground)):
         for i, (centre, half, quat) in enumerate(zip(boxes.centre, boxes.half, quaternion_from_rotation(boxes.R), strict=True)):
             if kind == "box" and i in terrain.weak.box:
                 continue
-            world.add_geom(name=f"{kind} {i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, quat=quat, **solid)
+            look = solid if kind == "box" else level
+            world.add_geom(name=f"{kind} {i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, quat=quat, **look)
     if terrain.height_field is not None:
         _add_height_field(spec, terrain.height_field, solid)
 
@@ -161,7 +168,7 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
     body = spec.worldbody.add_body(name="body")
     body.add_freejoint(name="body")
     half = np.array(profile.body.size) / 2
-    body.add_geom(name="trunk", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, **solid)
+    body.add_geom(name="trunk", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=_TRUNK_RGBA, **solid)
     # The inertia is that of a uniform box of the trunk's size, centred at the profile's centre of mass.
     body.explicitinertial, body.mass, body.ipos = True, profile.body.mass, profile.body.centre_of_mass
     body.inertia = profile.body.mass / 3.0 * (np.sum(half**2) - half**2)
@@ -186,6 +193,7 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
                 fromto=[0, 0, 0, tip, 0, 0],
                 size=[LINK_RADII_M[joint], 0, 0],
                 mass=profile.body.leg_link_masses[joint],
+                rgba=_LEG_RGBA,
                 **solid,
             )
             servo = spec.add_actuator(name=label, target=label, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -195,7 +203,9 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
             parent, position, quat = link, np.array([end, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
         sphere = mujoco.mjtGeom.mjGEOM_SPHERE
         foot = {"pos": [links[2], 0.0, 0.0], "type": sphere}
-        parent.add_geom(name=f"foot {name}", size=[profile.foot.radius, 0, 0], mass=0.0, priority=1, **foot, **solid)
+        parent.add_geom(
+            name=f"foot {name}", size=[profile.foot.radius, 0, 0], mass=0.0, priority=1, rgba=_TRUNK_RGBA, **foot, **solid
+        )
         parent.add_site(name=f"foot {name}", size=[profile.foot.radius + _TOUCH_RADIUS, 0, 0], group=5, **foot)
         whole = {"pos": [links[2] / 2, 0.0, 0.0], "size": [links[2] / 2 + profile.foot.radius + _TOUCH_RADIUS, 0, 0]}
         parent.add_site(name=f"shank {name}", type=sphere, group=5, **whole)
