@@ -179,7 +179,7 @@ class Client:
         self._until(is_ready, within_s, f"the robot is not ready within {within_s:g} s")
 
     def stand(self) -> None:
-        """Stand up. A robot that stands already stays on its footholds, with the body level over them; {odom} starts again.
+        """Stand up. A robot that stands already keeps its feet on the ground, at their heights; {odom} starts again.
 
         Raises:
             ClientError: The robot refuses, or does not stand in time.

@@ -11,6 +11,7 @@ from sextant.services.actuator.cycle_clock import CycleClock
 from sextant.services.actuator.estimation.state_estimator import StateEstimator
 from sextant.services.actuator.estimation.touchdown_detector import FEMUR, FemurReading
 from sextant.services.actuator.locomotion.motion_controller import MotionController
+from sextant.services.actuator.locomotion.stand_sit import ground_relief
 from sextant.services.actuator.safety.command_ordering import in_turn
 from sextant.services.actuator.safety.guard import Act, Guard, Legs
 from sextant.services.actuator.safety.health_monitor import GAP_S, Health, Verdict
@@ -218,7 +219,8 @@ class Actuator:
                         self._joints.torque_on()
                     self._motion.hold(self._joints.goals)
                 case Act.RISE:
-                    self._motion.stand_up(self._joints.goals, self._estimator.contact.legs)
+                    relief = ground_relief(self._estimator.odometry.feet, self._estimator.contact.legs)
+                    self._motion.stand_up(self._joints.goals, relief)
                 case Act.LIE_DOWN:
                     self._motion.lie_down()
                 case Act.SET_DOWN:

@@ -9,13 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from sextant.deploy import cli
-from sextant.evaluation.lockstep.lockstep_run import run_lockstep
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun, run_lockstep
 from sextant.evaluation.report import check
 from sextant.shared.recording.reader import Recording
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Goal, Walk, load_scenario
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode
-from tests.support.walks import flat
+from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, ModeCommand
+from tests.support.walks import LOOK_NS, Heard, S, flat
 
 BODY_HEIGHT = 0.11  # [m] commanded
 
@@ -89,3 +90,18 @@ def test_trials_command_runs_seeds_in_parallel(tmp_path: Path, capsys: pytest.Ca
     table = json.loads(capsys.readouterr().out)
     assert (table["success"]["successes"], table["success"]["n"]) == (2, 2)
     assert len((tmp_path / "out" / "trials.jsonl").read_text(encoding="utf-8").splitlines()) == 2
+
+
+def test_order_to_stand_keeps_feet_on_blocks_where_they_are() -> None:
+    scenario = replace(load_scenario("steps"), goal=Goal(1.3))
+    heard = Heard((topics.TRUTH,))
+    run = LockstepRun(scenario, 1000, load_profile(scenario.robot), heard.tap)
+    while not run.attendance.over():
+        run.run(run.now_ns() + LOOK_NS)
+    before = heard.of(topics.TRUTH)[-1]
+    assert np.ptp(before.feet[:, 2]) > 0.02, "the feet stand on blocks and between them"
+    run.say(ModeCommand(run.now_ns(), "stand", run.now_ns(), "operator", take_over=True))
+    run.run(run.now_ns() + 4 * S)
+    after = heard.of(topics.TRUTH)[-1]
+    np.testing.assert_allclose(after.feet[:, 2], before.feet[:, 2], atol=0.002)
+    assert after.contact.all()

@@ -74,9 +74,9 @@ class MotionController:
         self.goals.limits.forget()
         self._posture, self.is_holding = None, True
 
-    def stand_up(self, goals: Array, carrying: NDArray[np.bool_] | None = None) -> None:
-        """Begin to stand up from the present goals (6, 3) [rad]; `carrying` (6,) are the legs with load."""
-        self._begin(StandUp(self._profile, body_forward(self._profile, goals), self._settings.stand_s, carrying))
+    def stand_up(self, goals: Array, relief: Array | None = None) -> None:
+        """Begin to stand up from the present goals (6, 3) [rad]; `relief` (6,) [m] is the ground's, see `ground_relief`."""
+        self._begin(StandUp(self._profile, body_forward(self._profile, goals), self._settings.stand_s, relief))
 
     def lie_down(self) -> None:
         """Begin to lower the body to the ground."""

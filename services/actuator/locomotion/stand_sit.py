@@ -15,7 +15,7 @@ _AT_REST_M = 0.03  # [m] between a foot and its place in the resting stance, up 
 _CARRYING_HEIGHT_M = 0.04  # [m] belly height from which the legs carry the body
 _STANDING_RANGE_M = 0.08  # [m] from its resting position, up to which a foot stands after an interrupted motion
 _WIDER_M = np.arange(0.0, 0.1, 0.005)  # [m] by which feet may stand further out than in the resting stance
-_UNEVEN_M = 0.005  # [m] of a foot over the plane of the others, from which the ground is uneven; a servo's sag is less
+_UNEVEN_M = 0.005  # [m] of a foot over the plane of the others, from which the ground is uneven
 _BELLY_CLEARANCE_M = 0.005  # [m] of the feet over the ground on which the belly lies
 
 
@@ -29,18 +29,18 @@ class StandUp:
     first steps of its walk bring the feet in.
     """
 
-    def __init__(self, profile: RobotProfile, feet: Array, duration_s: float, carrying: NDArray[np.bool_] | None = None):
+    def __init__(self, profile: RobotProfile, feet: Array, duration_s: float, relief: Array | None = None):
         """Begin.
 
         Args:
             profile: The robot.
             feet: (6, 3) [m] {body} present feet.
             duration_s: [s] total duration.
-            carrying: (6,) legs that carry load; by default none is known to.
+            relief: (6,) [m] heights of the ground under a robot on its feet, see `ground_relief`; level by default.
         """
         rest = profile.rest_feet()
-        if carrying is not None and _is_on_its_feet(profile, feet):
-            rest[:, 2] += _relief(feet, carrying)
+        if relief is not None and _is_on_its_feet(profile, feet):
+            rest[:, 2] += relief
         if np.abs(feet - rest).max() < _AT_REST_M:
             self._way: tuple[Array, ...] = (feet, rest)
         elif _is_on_its_feet(profile, feet):
@@ -111,8 +111,13 @@ def _is_on_its_feet(profile: RobotProfile, feet: Array) -> bool:
     return height > profile.body.size[2] / 2 + _CARRYING_HEIGHT_M and bool((apart < _STANDING_RANGE_M).all())
 
 
-def _relief(feet: Array, carrying: NDArray[np.bool_]) -> Array:
-    """Return heights (6,) [m] of carrying feet (6, 3) [m] {body} over the plane through them; zeros on level ground."""
+def ground_relief(feet: Array, carrying: NDArray[np.bool_]) -> Array:
+    """Return heights (6,) [m] of the ground over the plane through the carrying feet; zeros on level ground.
+
+    Args:
+        feet: (6, 3) [m] {body} measured feet. Goals would not do: they include the sag of loaded servos.
+        carrying: (6,) legs that carry load; the ground under the others counts as level.
+    """
     over = np.zeros(len(feet))
     if np.count_nonzero(carrying) > 3:
         rows = np.column_stack([feet[carrying, :2], np.ones(np.count_nonzero(carrying))])

@@ -13,7 +13,7 @@ import numpy as np
 
 from sextant.services.console.web.command_repeater import CommandRepeater
 from sextant.services.console.web.requests import CancelGoal, Command, Drive, GoTo, Heartbeat, Name, Release, Request, TakeOver
-from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, PlannerStatus, VelocityCommand
+from sextant.shared.wire.messages import ActuatorState, GapCrossingMode, Goal, Message, Mode, PlannerStatus, VelocityCommand
 
 SEATS = 8  # maximum number of pages that may drive; further pages may only stop
 DEAD_MAN_NS = 300_000_000  # [ns] silence of a page with a held pad after which the press ends
@@ -299,18 +299,8 @@ class ControlArbiter:
         goal, walk = active.goal, active.goal.walk
         speed = min(goal.speed, self._max_speed)
         waypoints = np.array(goal.waypoints)
-        return [
-            Goal(
-                now_ns,
-                waypoints,
-                _TOLERANCE_M,
-                speed,
-                walk.height,
-                walk.lift,
-                walk.gait,
-                "always" if goal.passage else "if needed",
-            )
-        ]
+        crossing: GapCrossingMode = "always" if goal.passage else "if needed"
+        return [Goal(now_ns, waypoints, _TOLERANCE_M, speed, walk.height, walk.lift, walk.gait, crossing)]
 
     # ------------------------------------------------------------------------------------------------ ends of presses, goals
 

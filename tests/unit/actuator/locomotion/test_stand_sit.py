@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sextant.services.actuator.locomotion.stand_sit import LieDown, StandUp
+from sextant.services.actuator.locomotion.stand_sit import LieDown, StandUp, ground_relief
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profiles import load_profile
@@ -18,6 +18,7 @@ REST = PROFILE.rest_feet()
 OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
 FOLDED = PROFILE.rest_feet(0.02) + 0.05 * OUT
 DURATION = 2.5
+ALL = np.ones(6, dtype=np.bool_)
 
 
 def stand_up(feet: Array, dt: float = 0.02) -> tuple[Array, Array]:
@@ -87,7 +88,7 @@ def over_plane(feet: Array) -> Array:
 def test_stand_up_on_uneven_ground_keeps_heights_of_carrying_feet(tilt: float) -> None:
     feet = REST + np.outer(REST[:, 0] * tilt, [0.0, 0.0, 1.0])
     feet[0, 2] += 0.03  # on a block
-    act = StandUp(PROFILE, feet, DURATION, np.ones(6, dtype=np.bool_))
+    act = StandUp(PROFILE, feet, DURATION, ground_relief(feet, ALL))
     ends = act.update(DURATION).feet
     np.testing.assert_allclose(over_plane(ends), over_plane(feet), atol=1e-3)
     rows = np.column_stack([ends[:, :2], np.ones(6)])
@@ -98,8 +99,9 @@ def test_stand_up_lowers_hanging_foot_and_levels_small_differences() -> None:
     hanging, sagging = REST.copy(), REST.copy()
     hanging[0, 2] += 0.03
     sagging[0, 2] += 0.003
-    np.testing.assert_allclose(StandUp(PROFILE, hanging, DURATION, np.arange(6) > 0).update(DURATION).feet, REST, atol=1e-12)
-    np.testing.assert_allclose(StandUp(PROFILE, sagging, DURATION, np.arange(6) > -1).update(DURATION).feet, REST, atol=1e-12)
+    for feet, carrying in ((hanging, np.arange(6) > 0), (sagging, ALL)):
+        ends = StandUp(PROFILE, feet, DURATION, ground_relief(feet, carrying)).update(DURATION).feet
+        np.testing.assert_allclose(ends, REST, atol=1e-12)
 
 
 # ------------------------------------------------------------------------------------------------------------ lying down
