@@ -83,6 +83,7 @@ RUN_BY = {
     "benchmarks passage": "tests/unit/benchmarks/test_bench.py::test_passage_command_writes_table",
     "benchmarks stages": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
     "benchmarks stages --foothold": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
+    "benchmarks plans": "tests/unit/benchmarks/test_bench.py::test_plans_command_asks_planners_for_the_same_steps",
     "service compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
     "service install": "tests/unit/deploy/launch/test_units.py::test_service_command_installs_prints_next_step_and_uninstalls",
     "benchmarks faults": "tests/walk/test_faults_command.py::test_faults_command_checks_limits_and_skips_completed_injections",

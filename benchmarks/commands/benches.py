@@ -104,6 +104,31 @@ def bench_passage(seeds: range, out: str | None, as_json: bool) -> int:
     return _tell_bench(words, text, folder / "passage.json", as_json)
 
 
+@benchmarks.command("plans")
+@option(
+    "--scenario",
+    "course whose requests are planned; repeatable (default: steps, rubble, stepping_stones)",
+    "NAME",
+    multiple=True,
+)
+@_seeds
+@options.count("--requests", 40, "most requests of a walk")
+@options.plugin("planner")
+@options.out
+@options.as_json
+def bench_plans(scenario: tuple[str, ...], seeds: range, requests: int, planner: str, out: str | None, as_json: bool) -> int:
+    """Compare step planners on the requests of lockstep walks: time, and whether the actuator accepts the steps."""
+    from benchmarks.peers import step_plans, timing
+    from sextant.shared.scenario.scenario import load_scenario
+
+    courses = [load_scenario(name) for name in dict.fromkeys(scenario) or step_plans.COURSES]
+    options.check_plugin("planner", planner)
+    folder = out_folder(out, "bench-plans")
+    timings = step_plans.measure(courses, seeds, requests, planner, open_progress(as_json).say)
+    words, text = timing.in_words(timings, [], step_plans.HEADINGS), timing.to_json(timings, [])
+    return _tell_bench(words, text, folder / "plans.json", as_json)
+
+
 @benchmarks.command("access")
 @options.count("--messages", 10_000, "messages of each kind")
 @options.out

@@ -35,7 +35,7 @@ The benchmarks compare Sextant with other libraries, inject faults and attack it
 options of the benchmark.
 """
 _OF_BENCHMARKS = (
-    ("algorithms", "accuracy and speed of algorithms", ("accuracy", "speed", "stages", "passage")),
+    ("algorithms", "accuracy and speed of algorithms", ("accuracy", "speed", "stages", "plans", "passage")),
     ("attacks", "attacks", ("access", "strangers", "roles", "fuzz")),
     ("robot", "servos and faults of the robot", ("servos", "bus", "start", "faults")),
     ("system", "radio, load and resources", ("fleet", "link", "page", "recording", "soak", "size")),

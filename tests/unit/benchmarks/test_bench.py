@@ -162,6 +162,11 @@ def test_failing_plugin_ends_accuracy_with_its_name(tmp_path: Path, capsys: pyte
         (["speed", "--registration", "missing_module:X"], "there is no module missing_module"),
         (["accuracy", "--registration", "tests.support.plugins:Shifty"], "has no Shifty; did you mean 'Shifted'?"),
         (
+            ["plans", "--planner", "tests.support.plugins:StandingStill"],
+            "has no StandingStill; did you mean 'StandStill'?",
+        ),
+        (["plans", "--scenario", "flatt"], "did you mean 'flat'?"),
+        (
             ["stages", "--foothold", "relief of mine"],
             "--foothold: package.module:Object or the name of an entry point expected",
         ),
@@ -264,6 +269,20 @@ def test_stages_command_writes_timings_and_picture(
     assert {"registration", "reduction", "fuse", "score"} <= table["parts_ms"].keys()
     assert table["missing"] == ["elsewhere: some library is not there"]
     assert is_picture(tmp_path / "stages.png")
+
+
+def test_plans_command_asks_planners_for_the_same_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plugin = "tests.support.plugins:StandStill"
+    words = ["plans", "--scenario", "flat", "--seeds", "1000:1001", "--requests", "4", "--planner", plugin]
+    assert cli.main([*words, "--out", str(tmp_path), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table == json.loads((tmp_path / "plans.json").read_text(encoding="utf-8"))
+    ours, other = table["timings"]
+    assert (ours["method"], ours["case"], other["method"]) == ("Sextant", "flat", plugin)
+    assert ours["solved"] == ours["accepted"] == 1.0
+    assert ours["travel_mm"] > 20.0
+    assert other["solved"] == 1.0
+    assert other["travel_mm"] == 0.0
 
 
 def test_race_rotates_methods_and_drops_warm_up() -> None:
