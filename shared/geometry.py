@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 _IDENTITY = np.eye(4)
 _FEW = 64  # points up to which one loop over rows is faster than three over columns
+_NEWTON_STEPS, _NEWTON_END = 50, 1e-15  # most steps for an eigenvalue, and the relative step that ends them
+_WELL_DETERMINED = 1e-3  # [1] smallest relative size of the cofactors that yield an eigenvector
 _SMALL_ANGLE = 1e-8  # [rad] below this angle a series replaces sin(x)/x
 
 
@@ -216,11 +218,16 @@ def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike) -> Array:
 
 def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
     """Return whether a (4, 4) matrix is a rigid transform."""
-    R = T[:3, :3]
-    if not np.abs(R).max() <= 1.0 + tolerance:
+    *rows, last = T.tolist()
+    if last != [0.0, 0.0, 0.0, 1.0] or not all(abs(part) <= 1.0 + tolerance for row in rows for part in row[:3]):
         return False
-    off = np.abs(R @ R.T - np.eye(3)).max()
-    return bool(off <= tolerance and np.linalg.det(R) > 0.0 and (T[3] == (0.0, 0.0, 0.0, 1.0)).all())
+    (ax, ay, az, _), (bx, by, bz, _), (cx, cy, cz, _) = rows
+    off = (
+        *(ax * ax + ay * ay + az * az - 1.0, bx * bx + by * by + bz * bz - 1.0, cx * cx + cy * cy + cz * cz - 1.0),
+        *(ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az),
+    )
+    determinant = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return all(abs(part) <= tolerance for part in off) and determinant > 0.0
 
 
 def inverse(T: Array) -> Array:
@@ -312,17 +319,76 @@ def align_rigid(source: Array, target: Array, weights: Array | None = None) -> A
         raise ValueError(f"two (n, 3) point sets with n >= 3 expected, found {source.shape} and {target.shape}")
     w = np.full(len(source), 1.0 / len(source)) if weights is None else weights / weights.sum()
     source_mean, target_mean = w @ source, w @ target
-    u, _, vt = np.linalg.svd((source - source_mean).T @ (w[:, None] * (target - target_mean)))
-    R = vt.T @ u.T
-    if _is_reflection(R):  # flip the direction with the smallest singular value
-        R = (vt.T * [1.0, 1.0, -1.0]) @ u.T
+    H = (source - source_mean).T @ (w[:, None] * (target - target_mean))
+    R = _aligning_rotation(H)
+    if R is None:
+        u, _, vt = np.linalg.svd(H)
+        R = vt.T @ u.T
+        if np.linalg.det(R) < 0.0:  # flip the direction with the smallest singular value
+            R = (vt.T * [1.0, 1.0, -1.0]) @ u.T
     return transform(R, target_mean - R @ source_mean)
 
 
-def _is_reflection(R: Array) -> bool:
-    """Return whether an orthogonal matrix (3, 3) is a reflection."""
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0)
+def _aligning_rotation(H: Array) -> Array | None:
+    """Return the rotation that maximizes trace(R H), from its quaternion; None where that is not well determined.
+
+    Source: Horn 1987, with the largest eigenvalue by Newton's method on the characteristic polynomial (Theobald 2005). It is
+    faster than a singular value decomposition, and is not well determined near half a turn and for points on one line.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = H.tolist()
+    n00, n11, n22, n33 = xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy
+    side = (yz - zy, zx - xz, xy - yx)
+    rest = (xy + yx, zx + xz, yz + zy)
+    squares = sum(part * part for row in ((xx, xy, xz), (yx, yy, yz), (zx, zy, zz)) for part in row)
+    if not 0.0 < squares < math.inf:
+        return None
+    c2 = -2.0 * squares
+    c1 = -8.0 * (xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx))
+    q0, q1, q2, q3 = _first_cofactors((n11, n22, n33), side, rest)
+    c0 = n00 * q0 + side[0] * q1 + side[1] * q2 + side[2] * q3
+    largest = math.sqrt(3.0 * squares)  # not below the largest eigenvalue
+    for _ in range(_NEWTON_STEPS):
+        square = largest * largest
+        slope = 4.0 * largest * square + 2.0 * c2 * largest + c1
+        if slope <= 0.0:
+            return None
+        step = (square * square + c2 * square + c1 * largest + c0) / slope
+        largest -= step
+        if step <= _NEWTON_END * largest:
+            break
+    q0, q1, q2, q3 = _first_cofactors((n11 - largest, n22 - largest, n33 - largest), side, rest)
+    norm = math.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    if norm < _WELL_DETERMINED * largest**3:
+        return None
+    w, x, y, z = q0 / norm, q1 / norm, q2 / norm, q3 / norm
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def _first_cofactors(
+    diagonal: tuple[float, float, float], side: tuple[float, float, float], rest: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Return the cofactors of the first row of a symmetric (4, 4) matrix.
+
+    Args:
+        diagonal: Its diagonal without the first element, which does not matter.
+        side: Its first row without that element.
+        rest: Its elements (1, 2), (1, 3) and (2, 3).
+    """
+    (b, c, d), (ab, ac, ad), (bc, bd, cd) = diagonal, side, rest
+    p01, p02, p03 = ac * bd - bc * ad, ac * cd - c * ad, ac * d - cd * ad
+    p12, p13, p23 = bc * cd - c * bd, bc * d - cd * bd, c * d - cd * cd
+    return (
+        b * p23 - bc * p13 + bd * p12,
+        bc * p03 - ab * p23 - bd * p02,
+        ab * p13 - b * p03 + bd * p01,
+        b * p02 - ab * p12 - bc * p01,
+    )
 
 
 def _left_jacobian(rotvec: Array) -> Array:

@@ -129,6 +129,26 @@ def bench_plans(scenario: tuple[str, ...], seeds: range, requests: int, planner:
     return _tell_bench(words, text, folder / "plans.json", as_json)
 
 
+@benchmarks.command("cycle")
+@option("--scenario", "course of the walks", "NAME", default="steps")
+@_seeds
+@options.count("--cycles", 2000, "most control cycles of a walk")
+@options.out
+@options.as_json
+def bench_cycle(scenario: str, seeds: range, cycles: int, out: str | None, as_json: bool) -> int:
+    """Measure the computing time of the actuator's control cycle, standing and walking."""
+    from benchmarks.robot import actuator_cycle
+    from sextant.shared.scenario.scenario import load_scenario
+
+    course = load_scenario(scenario)
+    folder = out_folder(out, "bench-cycle")
+    try:
+        found = actuator_cycle.measure(course, seeds, cycles)
+    except ValueError as error:
+        raise CommandError(str(error)) from None
+    return _tell_bench(actuator_cycle.in_words(found), actuator_cycle.to_json(found), folder / "cycle.json", as_json)
+
+
 @benchmarks.command("access")
 @options.count("--messages", 10_000, "messages of each kind")
 @options.out

@@ -74,6 +74,7 @@ class LockstepRun:
         every_frame: bool = True,
         around: Mapping[str, Callable[[Service], Service]] | None = None,
         stop_port: str = "",
+        port: type[MemoryPort] = MemoryPort,
     ):
         """Assemble all services in this process; the actuator's port is the other end of the simulator's servo bus.
 
@@ -86,6 +87,7 @@ class LockstepRun:
             every_frame: Also render the depth frames that only the tap receives; this costs a tenth of the run.
             around: Service name -> function that wraps the service.
             stop_port: Run the estop process, with the latch of this port; empty: without.
+            port: Class of the actuator's end of the bus.
         """
         keep_memory()
         if scenario.goal.passage:
@@ -95,6 +97,7 @@ class LockstepRun:
         tuned = params.of_scenario(scenario)
         self._lockstep: Lockstep | None = None
         self._socket: _Socket | None = None
+        self._port = port
         looks = params.settings(
             PerceptionSettings,
             tuned.perception,
@@ -152,7 +155,7 @@ class LockstepRun:
         authorization = WalkAuthorization()
 
         def make() -> Actuator:
-            self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9)
+            self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9, self._port)
             return Actuator(profile, settings, socket.open, socket.now_ns, latch, authorization)
 
         return make
@@ -323,8 +326,8 @@ class _Socket:
     All of its ports share one clock.
     """
 
-    def __init__(self, simulator: Simulator, clock: Callable[[], int], timeout: float):
-        self._simulator, self._clock, self._timeout = simulator, clock, timeout
+    def __init__(self, simulator: Simulator, clock: Callable[[], int], timeout: float, kind: type[MemoryPort]):
+        self._simulator, self._clock, self._timeout, self._kind = simulator, clock, timeout, kind
         self._port: MemoryPort | None = None
         self.is_first = clock() == 0  # whether no port was opened before this one
 
@@ -333,7 +336,7 @@ class _Socket:
 
     def open(self) -> MemoryPort:
         self.is_first &= self._port is None
-        self._port = MemoryPort(self._simulator.device, self._clock, self._timeout, start_ns=self.now_ns())
+        self._port = self._kind(self._simulator.device, self._clock, self._timeout, start_ns=self.now_ns())
         return self._port
 
 

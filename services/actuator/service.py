@@ -13,7 +13,7 @@ from sextant.services.actuator.estimation.touchdown_detector import FEMUR, Femur
 from sextant.services.actuator.locomotion.motion_controller import MotionController
 from sextant.services.actuator.locomotion.stand_sit import ground_relief
 from sextant.services.actuator.safety.command_ordering import in_turn
-from sextant.services.actuator.safety.guard import Act, Guard, Legs
+from sextant.services.actuator.safety.guard import Act, Guard, Stance, Walk
 from sextant.services.actuator.safety.health_monitor import GAP_S, Health, Verdict
 from sextant.services.actuator.safety.plan_validation import reaches
 from sextant.services.actuator.safety.torque_off_latch import Latch
@@ -124,7 +124,7 @@ class Actuator:
         self._level(dt, now_ns, inbox)
         # 3. Pass plans through the guard.
         for plan in inbox.drain(topics.STEP_PLAN):
-            if guard.accept_plan(plan, now_ns, self._legs()):
+            if guard.accept_plan(plan, now_ns, self._walk(), self._stance):
                 motion.executor.accept(plan)
                 self._report.T_world_odom = plan.T_world_odom
         # 4. Move the legs.
@@ -158,7 +158,7 @@ class Actuator:
         """Return a reading of a leg's femur servo in joint direction."""
         sign = self._profile.servo_signs[leg, FEMUR]
         angle, load = float(self._joints.q[leg, FEMUR]), float(self._joints.load[leg, FEMUR])
-        return FemurReading(angle, sign * reading.speed, load, reading.stamp_ns, reading.told_ns)
+        return FemurReading(angle, float(sign) * reading.speed, load, reading.stamp_ns, reading.told_ns)
 
     def _measured(self) -> Array:
         """Estimate the present joint angles (6, 3) [rad]."""
@@ -280,24 +280,24 @@ class Actuator:
         if not self._off.holds and self._clock.is_current:
             self._joints.write(goals)
 
-    def _legs(self) -> Legs:
-        """Return the state of the walk that the guard needs."""
+    def _walk(self) -> Walk:
+        """Return the state of the walk."""
         walk = self._motion.executor
-        body, feet = walk.stance_at_end
-        return Legs(
+        return Walk(
             step=walk.step,
             resting=walk.resting,
             planned=walk.planned,
-            swing=walk.swing,
-            clearance=walk.clearance,
-            body=body,
-            feet=feet,
-            body_now=walk.body_ref,
-            feet_now=walk.feet_odom,
-            air_s=walk.air_s,
             trouble=walk.trouble,
             waiting_reason=self._motion.waiting_reason,
+            swing=walk.swing,
+            clearance=walk.clearance,
         )
+
+    def _stance(self, now: bool) -> Stance:
+        """Return the legs now, or at the end of the running step."""
+        walk = self._motion.executor
+        body, feet = (walk.body_ref, walk.feet_odom) if now else walk.stance_at_end
+        return Stance(body, feet, walk.air_s)
 
     # ---------------------------------------------------------------------------------------------------------- faults
 
@@ -316,7 +316,7 @@ class Actuator:
         vitals = self._joints.vitals
         vitals = replace(vitals, behind=vitals.behind | self._motion.behind)
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
-        self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
+        self._perform(self._guard.watch(now_ns, self._walk(), self._verdict))
         for index in self._verdict.restore_torque:
             if self._off.holds:  # torque off has not been executed yet
                 break

@@ -1,6 +1,7 @@
 """Forward and inverse kinematics of the legs, in closed form.
 
-All functions are batched over legs and time.
+All functions are batched over legs and time. Those of the control loop compute one robot in plain numbers, because for six legs
+an array costs more than its arithmetic.
 
 Sources: Masri 2016, eq. (3.2)-(3.10), and Lotriet 2024, eq. (5.2)-(5.13). docs/kinematics.md maps their angles to ours and
 lists every misprint with its correction and the test that proves it. In short, this code uses
@@ -14,16 +15,19 @@ straight continuation of the femur, positive upward. The coxa frame has its orig
 leg, z up.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import GRAVITY, LegLinks, RobotProfile
+from sextant.shared.robot.profile import GRAVITY, CoxaFrame, LegLinks, RobotProfile
+
+Point = tuple[float, float, float]  # x, y, z
 
 SINGULAR = 1e-6  # [m] of horizontal reach, or sine of the knee angle; below it joint rates are NaN
-
-
 _REACH_MARGIN = 1e-4  # [m] inside the reach, so that rounding errors do not exceed it
+_OUT_OF_REACH = (math.nan, math.nan, math.nan)
 
 
 def leg_forward(q: Array, links: LegLinks) -> Array:
@@ -162,8 +166,30 @@ def body_inverse(profile: RobotProfile, feet_body: Array) -> Array:
         ValueError: The last axes are not (6, 3).
     """
     _check(feet_body, "feet", 6, 3)
+    links = profile.links
+    if feet_body.ndim == 2:
+        feet = zip(feet_body.tolist(), profile.coxa_frames, strict=True)
+        return np.array([_inverse_of_one(x, y, z, frame, links) for (x, y, z), frame in feet])
     R, p = profile.T_body_coxa[:, :3, :3], profile.T_body_coxa[:, :3, 3]
-    return leg_inverse(((feet_body - p)[..., None, :] @ R)[..., 0, :], profile.links)
+    return leg_inverse(((feet_body - p)[..., None, :] @ R)[..., 0, :], links)
+
+
+def _inverse_of_one(x: float, y: float, z: float, frame: CoxaFrame, links: LegLinks) -> tuple[float, float, float]:
+    """Compute `leg_inverse` of a foot [m] {body}."""
+    dx, dy, z = x - frame.x, y - frame.y, z - frame.z
+    x, y = frame.cos * dx + frame.sin * dy, frame.cos * dy - frame.sin * dx
+    femur, tibia = links.femur, links.tibia
+    d_p = math.sqrt(x * x + y * y) - links.coxa
+    cos_knee = (d_p * d_p + z * z - (femur * femur + tibia * tibia)) / (2.0 * femur * tibia)
+    if not -1.0 <= cos_knee <= 1.0:  # also for NaN
+        return _OUT_OF_REACH
+    sin_knee = -math.sqrt((1.0 - cos_knee) * (1.0 + cos_knee))
+    along, across = femur + tibia * cos_knee, tibia * sin_knee
+    return (
+        math.atan2(y, x),
+        math.atan2(z * along - d_p * across, d_p * along + z * across),
+        math.atan2(sin_knee, cos_knee),
+    )
 
 
 def nearest_reachable(profile: RobotProfile, feet_body: Array) -> Array:
@@ -181,10 +207,23 @@ def nearest_reachable(profile: RobotProfile, feet_body: Array) -> Array:
 
     Source: Masri 2016, section 5.4, which replaces an unreachable point by the nearest reachable one.
     """
+    if _all_reachable(profile, feet_body):
+        return feet_body
     T = profile.T_coxa_body
     p = (T[:, :3, :3] @ feet_body[:, :, None])[..., 0] + T[:, :3, 3]
     moved = leg_nearest_reachable(p, profile.leg_reach, profile.links)
     return feet_body if moved is p else np.where((moved != p).any(axis=1)[:, None], _to_body(profile, moved), feet_body)
+
+
+def _all_reachable(profile: RobotProfile, feet_body: Array) -> bool:
+    """Return whether all feet (6, 3) [m] {body} are within the tibia limits."""
+    coxa = profile.links.coxa
+    legs = zip(feet_body.tolist(), profile.coxa_frames, profile.leg_reach.tolist(), strict=True)
+    for (x, y, z), frame, (shortest, longest) in legs:
+        d = math.hypot(math.hypot(x - frame.x, y - frame.y) - coxa, z - frame.z)
+        if not shortest + _REACH_MARGIN <= d <= longest - _REACH_MARGIN:
+            return False
+    return True
 
 
 def leg_nearest_reachable(p: Array, reach: Array, links: LegLinks) -> Array:
@@ -219,7 +258,33 @@ def body_forward(profile: RobotProfile, q: Array) -> Array:
         ValueError: The last axes are not (6, 3).
     """
     _check(q, "joint angles", 6, 3)
+    if q.ndim == 2:
+        return np.array(feet_and_shanks(profile, q)[0])
     return _to_body(profile, leg_forward(q, profile.links))
+
+
+def feet_and_shanks(profile: RobotProfile, q: Array) -> tuple[list[Point], list[Point]]:
+    """Compute the foot centres and the directions of the shanks of one robot, in plain numbers.
+
+    Args:
+        profile: The robot.
+        q: (6, 3) [rad] joint angles.
+
+    Returns:
+        Six points [m] {body}, the foot centres, and six unit vectors {body} from them up the shanks.
+    """
+    links = profile.links
+    feet: list[Point] = []
+    shanks: list[Point] = []
+    for (coxa, femur, tibia), frame in zip(q.tolist(), profile.coxa_frames, strict=True):
+        c, s = math.cos(coxa), math.sin(coxa)
+        x_out, y_out = frame.cos * c - frame.sin * s, frame.sin * c + frame.cos * s
+        along, up = math.cos(femur + tibia), math.sin(femur + tibia)
+        reach = links.coxa + links.femur * math.cos(femur) + links.tibia * along
+        z = frame.z + links.femur * math.sin(femur) + links.tibia * up
+        feet.append((frame.x + reach * x_out, frame.y + reach * y_out, z))
+        shanks.append((-along * x_out, -along * y_out, -up))
+    return feet, shanks
 
 
 def within_limits(profile: RobotProfile, q: Array) -> NDArray[np.bool_]:
@@ -266,11 +331,13 @@ def link_torques(profile: RobotProfile, q: Array) -> Array:
     The body is level, and each link's mass is in its middle.
     """
     _, femur_mass, tibia_mass = profile.body.leg_link_masses
-    femur, tibia = profile.links.femur * np.cos(q[:, 1]), profile.links.tibia * np.cos(q[:, 1] + q[:, 2])
-    torques = np.zeros((6, 3))
-    torques[:, 2] = GRAVITY * tibia_mass * tibia / 2
-    torques[:, 1] = torques[:, 2] + GRAVITY * (femur_mass / 2 + tibia_mass) * femur
-    return torques
+    at_tibia = GRAVITY * profile.links.tibia * tibia_mass / 2
+    at_femur = GRAVITY * profile.links.femur * (femur_mass / 2 + tibia_mass)
+    torques = []
+    for _, femur, tibia in q.tolist():
+        torque = at_tibia * math.cos(femur + tibia)
+        torques.append((0.0, torque + at_femur * math.cos(femur), torque))
+    return np.array(torques)
 
 
 def leg_points(profile: RobotProfile, q: Array) -> Array:

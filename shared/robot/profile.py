@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,16 @@ class LegLinks:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+
+class CoxaFrame(NamedTuple):
+    """A coxa frame in plain numbers, for the control loop: for six legs an array costs more than its arithmetic."""
+
+    cos: float  # of the neutral yaw
+    sin: float
+    x: float  # [m] {body} coxa axis
+    y: float
+    z: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,6 +429,11 @@ class RobotProfile:
         """
         yaw = np.radians([leg.neutral_yaw_deg for leg in self.legs])
         return transform(rotation_z(yaw), np.array([leg.mount_xyz for leg in self.legs]))
+
+    @cached_property
+    def coxa_frames(self) -> tuple[CoxaFrame, ...]:
+        """The six frames of `T_body_coxa` in plain numbers."""
+        return tuple(CoxaFrame(*T[:2, 0].tolist(), *T[:3, 3].tolist()) for T in self.T_body_coxa)
 
     @cached_property
     def T_coxa_body(self) -> Array:

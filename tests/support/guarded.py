@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sextant.services.actuator.safety.guard import Act, Guard, Legs
+from sextant.services.actuator.safety.guard import Act, Guard, Stance, Walk
 from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.geometry import apply, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
@@ -40,19 +40,21 @@ class Robot:
         self.trouble = ""
         self.lifted = np.full(6, np.inf)  # [m] clearance of the running step's swing feet
         self.number = 0
+        self.stance_now = self.stance_at_end = Stance(START, FEET, np.full(6, np.inf))
 
     @property
     def mode(self) -> Mode:
         return self.guard.mode
 
     @property
-    def legs(self) -> Legs:
+    def walk(self) -> Walk:
         resting = not self.running and not self.searching
         planned = self.running and not self.own
-        where = (START, FEET, START, FEET, np.full(6, np.inf))
-        return Legs(
-            self.step, resting, planned, self.swing, self.lifted, *where, self.trouble, self.trouble if self.searching else ""
-        )
+        waits = self.trouble if self.searching else ""
+        return Walk(self.step, resting, planned, self.trouble, waits, self.swing, self.lifted)
+
+    def stance(self, now: bool) -> Stance:
+        return self.stance_now if now else self.stance_at_end
 
     # Actions of the operator, the planner and the clock.
 
@@ -86,7 +88,7 @@ class Robot:
         return self.plan(**{"step": self.step, "swing": self.swing, **changes})
 
     def accept_plan(self, plan: StepPlan) -> bool:
-        taken = self.guard.accept_plan(plan, self.now, self.legs)
+        taken = self.guard.accept_plan(plan, self.now, self.walk, self.stance)
         if taken and plan.step != self.step:
             self.next = plan
         return taken
@@ -95,7 +97,7 @@ class Robot:
         """Run the next cycle; with `ends`, complete the current motion."""
         self.now += after
         acts = self.move(ends) if self.torque and not self.still else ()
-        return (*acts, *self.perform(self.guard.watch(self.now, self.legs, self.verdict)))
+        return (*acts, *self.perform(self.guard.watch(self.now, self.walk, self.verdict)))
 
     def move(self, ends: bool) -> tuple[Act, ...]:
         """Advance the legs; with `ends`, complete their current motion."""
@@ -142,7 +144,7 @@ class Robot:
         assert self.accept_plan(self.plan())
         self.cycle()
         assert self.mode is Mode.WALK
-        assert self.legs.planned
+        assert self.walk.planned
         return self
 
 

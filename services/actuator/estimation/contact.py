@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.params import ContactParams
 from sextant.shared.geometry import Array
-from sextant.shared.robot.kinematics import leg_jacobian
 from sextant.shared.robot.profile import RobotProfile
 
 _MIN_LEGS = 3  # minimum number of carrying feet that can support the body
 _MIDDLE = np.array([[0.0], [0.0], [1.0]])  # middle of the body, as a row x, y, 1
 _LEG_TRIPLES = np.array(list(combinations(range(6), 3)))  # (20, 3) all choices of three legs
 _OUTSIDE_SHARE = 0.05  # share of the body weight by which its middle may lie outside of three feet
-_DAMPING_M = 1e-5  # [m] added to the Jacobian's diagonal: far below all lever arms, keeps the matrix of a stretched leg regular
+_MIN_DETERMINANT_M2 = 1e-4  # [m^2] of a leg's Jacobian in its plane: that of a PhantomX leg stretched to within 0.7 deg
 _MIN_AREA_M2 = 1e-3  # [m^2] smallest triangle of feet that determines a plane
 
 
@@ -36,12 +35,22 @@ class ContactEstimate:
 
         `dt` [s] is the time since the last update; an infinite one discards all earlier updates.
         """
-        # The motors balance the ground force f with tau = -J^T f.
-        Jt = np.swapaxes(leg_jacobian(q, self._profile.links), -1, -2)
-        force = -np.linalg.solve(Jt + _DAMPING_M * np.eye(3), torque[..., None])[:, 2, 0]
+        force = np.array([self._ground_force(*leg) for leg in np.hstack([q, torque])[:, [1, 2, 4, 5]].tolist()])
         self._force += (1.0 - math.exp(-dt / self._params.smoothing_s)) * (force - self._force)
         self.legs = np.where(self.legs, self._force > self._params.lift_n, self._force > self._params.touch_n)
         return self.legs
+
+    def _ground_force(self, femur: float, tibia: float, femur_torque: float, tibia_torque: float) -> float:
+        """Return the upward ground force [N] on a foot, from angles [rad] and motor torques [N m] of its leg.
+
+        The motors balance the ground force f with tau = -J^T f; the femur and the tibia alone balance its part in the plane of
+        the leg. The determinant of that part of J is the product of both links and the sine of the knee angle.
+        """
+        links, shank = self._profile.links, femur + tibia
+        tibia_z = links.tibia * math.sin(shank)
+        knee = links.femur * links.tibia * math.sin(tibia)
+        knee = math.copysign(max(abs(knee), _MIN_DETERMINANT_M2), knee)
+        return ((links.femur * math.sin(femur) + tibia_z) * tibia_torque - tibia_z * femur_torque) / knee
 
     @property
     def firm(self) -> NDArray[np.bool_]:

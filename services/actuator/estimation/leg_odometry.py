@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, align_rigid, apply, yaw_of
-from sextant.shared.robot.kinematics import leg_points
+from sextant.shared.robot.kinematics import Point, feet_and_shanks
 from sextant.shared.robot.profile import RobotProfile
 
 _MIN_LEGS = 3
@@ -33,7 +33,7 @@ class LegOdometry:
         self.reliable = True
         self.slip = np.zeros(6)  # [m] motion of each standing foot over the ground against the others
         self._profile = profile
-        self._standing = np.ones(6, dtype=bool)
+        self._standing = [True] * 6
         self._shanks = self._shanks_in_odom(q)
         self.anchors = apply(T_odom_body, self.feet)
 
@@ -49,43 +49,47 @@ class LegOdometry:
         Returns:
             (4, 4) T_odom_body. With fewer than three standing legs it stays, and `reliable` is False.
         """
-        before = self._shanks
-        self._shanks = self._shanks_in_odom(q)
-        self.anchors[:, :2] += self._profile.foot.radius * _rolled(before, self._shanks)
-        held = standing & self._standing
-        self.anchors[:, 2] = ground
-        self.reliable = bool(held.sum() >= _MIN_LEGS)
+        before, self._shanks = self._shanks, self._shanks_in_odom(q)
+        stands, radius = standing.tolist(), self._profile.foot.radius
+        rolling = zip(self.anchors.tolist(), before, self._shanks, ground.tolist(), strict=True)
+        # The cross product of the shanks is the rotation vector of a small turn without spin; turn x up is the displacement.
+        anchors = [
+            (x + radius * (bz * sx - bx * sz), y + radius * (bz * sy - by * sz), z)
+            for (x, y, _), (bx, by, bz), (sx, sy, sz), z in rolling
+        ]
+        held = [leg for leg in range(6) if stands[leg] and self._standing[leg]]
+        self.reliable = len(held) >= _MIN_LEGS
+        feet = self._feet
         if self.reliable:
             previous = self.T_odom_body
-            self.T_odom_body = align_rigid(self.feet[held], self.anchors[held])
-            self.travelled += math.hypot(*(self.T_odom_body[:2, 3] - previous[:2, 3]).tolist())
-            off = apply(self.T_odom_body, self.feet)[:, :2] - self.anchors[:, :2]
-            self.slip = np.where(held, np.sqrt(np.vecdot(off, off)), 0.0)
-            self.turned += abs(math.remainder(yaw_of(self.T_odom_body) - yaw_of(previous), math.tau))
-        fresh = standing & ~self._standing
-        if fresh.any():
+            self.T_odom_body = align_rigid(np.array([feet[leg] for leg in held]), np.array([anchors[leg] for leg in held]))
+            (xx, xy, xz, x), (yx, yy, yz, y), *_ = self.T_odom_body.tolist()
+            self.travelled += math.hypot(x - previous[0, 3], y - previous[1, 3])
+            self.turned += abs(math.remainder(math.atan2(yx, xx) - yaw_of(previous), math.tau))
+            self.slip = np.zeros(6)
+            for leg in held:
+                fx, fy, fz = feet[leg]
+                x_off, y_off = xx * fx + xy * fy + xz * fz + x, yx * fx + yy * fy + yz * fz + y
+                self.slip[leg] = math.hypot(x_off - anchors[leg][0], y_off - anchors[leg][1])
+        self.anchors = np.array(anchors)
+        fresh = [leg for leg in range(6) if stands[leg] and not self._standing[leg]]
+        if fresh:
             self.anchors[fresh] = apply(self.T_odom_body, self.feet[fresh])
-        self._standing = standing.copy()
+        self._standing = stands
         return self.T_odom_body
 
     def turn(self, T: Array) -> None:
         """Turn {odom} by T (4, 4) about the body, to correct body and feet."""
         self.T_odom_body = T @ self.T_odom_body
         self.anchors = apply(T, self.anchors)
-        self._shanks = self._shanks @ T[:3, :3].T
+        self._shanks = [tuple(row) for row in (np.array(self._shanks) @ T[:3, :3].T).tolist()]
 
-    def _shanks_in_odom(self, q: Array) -> Array:
-        """Return unit vectors (6, 3) from the foot centre up the shank.
+    def _shanks_in_odom(self, q: Array) -> list[Point]:
+        """Return unit vectors {odom} from the foot centres up the shanks.
 
         Also store the feet (6, 3) [m] {body}.
         """
-        points = leg_points(self._profile, q)
-        self.feet = points[:, 3]
-        shank = points[:, 2] - points[:, 3]
-        return np.asarray(shank @ (self.T_odom_body[:3, :3].T / self._profile.links.tibia))
-
-
-def _rolled(before: Array, after: Array) -> Array:
-    """Return how far (6, 2) spheres of radius one roll between two shank directions."""
-    # The cross product is the rotation vector of a small turn without spin about the shank; turn x up is the displacement.
-    return np.asarray(before[:, 2:] * after[:, :2] - before[:, :2] * after[:, 2:])
+        self._feet, shanks = feet_and_shanks(self._profile, q)
+        self.feet = np.array(self._feet)
+        (xx, xy, xz, _), (yx, yy, yz, _), (zx, zy, zz, _), _ = self.T_odom_body.tolist()
+        return [(xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z) for x, y, z in shanks]

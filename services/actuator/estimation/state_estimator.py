@@ -126,5 +126,7 @@ class StateEstimator:
 
         Slip is motion of standing feet against each other.
         """
+        if self.odometry.slip.max() <= _SLIP_M:
+            return ""
         feet = [LEGS[leg] for leg in np.flatnonzero(self.odometry.slip > _SLIP_M)]
-        return f"slipping: {', '.join(feet)}" if feet else ""
+        return f"slipping: {', '.join(feet)}"

@@ -1,5 +1,6 @@
 """Touchdown detection: femur servo load less the torque that moves the leg."""
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -66,53 +67,57 @@ class TouchdownDetector:
         self._profile, self._params = profile, params or TouchdownParams()
         self._inertia = _leg_inertia(profile)
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
-        self._speed = np.zeros(6)  # [rad/s] of the femurs, by the newest readings
-        self._arm = np.full(6, self._params.min_arm_m)  # [m] horizontal lever arms of the feet over their femur axes
-        self._goal, self._goal_change = np.zeros(6), np.zeros(6)  # [rad] goals of the femurs, and their last change
-        self._goal_change_difference = np.zeros(6)  # (6,) [rad] absolute difference between the last two goal changes
-        self._stamp_ns = np.full(6, -_MAX_READING_GAP_NS - 1, dtype=np.int64)  # [ns] of the newest readings
-        self._push = np.zeros((2, 6))  # [N] upward ground force by the newest reading and the one before
-        self._valid = np.zeros(6, dtype=np.bool_)  # legs whose last two readings are close enough in time
-        self._holding_torque = np.zeros((6, 3))  # [N m] joint torques that hold the links against gravity
+        # All of them are lists, one number for each leg: readings come leg by leg.
+        self._speed = [0.0] * 6  # [rad/s] of the femurs, by the newest readings
+        self._arm = [self._params.min_arm_m] * 6  # [m] horizontal lever arms of the feet over their femur axes
+        self._goal, self._goal_change = [0.0] * 6, [0.0] * 6  # [rad] goals of the femurs, and their last change
+        self._goal_change_difference = [0.0] * 6  # [rad] absolute difference between the last two goal changes
+        self._stamp_ns = [-_MAX_READING_GAP_NS - 1] * 6  # [ns] of the newest readings
+        self._push, self._push_before = [0.0] * 6, [0.0] * 6  # [N] upward ground force by the last two readings
+        self._valid = [False] * 6  # whether the last two readings of a leg are close enough in time
+        self._holding_torque = [0.0] * 6  # [N m] femur torques that hold the links against gravity
 
     def begin_cycle(self, q: Array, q_goal: Array) -> None:
         """Set joint angles and goals (6, 3) [rad]; call it once per cycle, before `add_reading`."""
-        self._holding_torque = link_torques(self._profile, q)
-        links, tibia_angle = self._profile.links, q[:, 1] + q[:, 2]
-        self._arm = np.maximum(links.femur * np.cos(q[:, 1]) + links.tibia * np.cos(tibia_angle), self._params.min_arm_m)
-        change = q_goal[:, FEMUR] - self._goal
-        self._goal_change_difference = np.abs(change - self._goal_change)
-        self._goal_change, self._goal = change, q_goal[:, FEMUR].copy()
+        self._holding_torque = link_torques(self._profile, q)[:, FEMUR].tolist()
+        links, shortest = self._profile.links, self._params.min_arm_m
+        self._arm = [
+            max(links.femur * math.cos(femur) + links.tibia * math.cos(femur + tibia), shortest)
+            for _, femur, tibia in q.tolist()
+        ]
+        goals = q_goal[:, FEMUR].tolist()
+        changes = [goal - before for goal, before in zip(goals, self._goal, strict=True)]
+        self._goal_change_difference = [abs(change - before) for change, before in zip(changes, self._goal_change, strict=True)]
+        self._goal_change, self._goal = changes, goals
 
     def add_reading(self, leg: int, femur: FemurReading) -> None:
         """Compute the ground force on a foot from a reading of its femur."""
-        speed, since_ns = femur.speed, femur.stamp_ns - int(self._stamp_ns[leg])
+        speed, since_ns = femur.speed, femur.stamp_ns - self._stamp_ns[leg]
         speed_change, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
-        self._push[1, leg] = self._push[0, leg]
+        self._push_before[leg] = self._push[leg]
         self._valid[leg] = 0 < since_ns <= _MAX_READING_GAP_NS
         if not self._valid[leg]:
-            self._push[:, leg] = 0.0  # acceleration is unknown
+            self._push[leg] = self._push_before[leg] = 0.0  # acceleration is unknown
             return
         servo = self._profile.servo
         acceleration_torque = self._inertia * speed_change / (since_ns * 1e-9)
-        motion_torque = (
-            servo.damping * speed + self._params.friction_ratio * servo.friction * np.sign(speed) + acceleration_torque
-        )
+        friction = math.copysign(self._params.friction_ratio * servo.friction, speed) if speed else 0.0
+        motion_torque = servo.damping * speed + friction + acceleration_torque
         uncertainty = self._params.doubt_share * (
-            abs(acceleration_torque) + servo.stiffness * float(self._goal_change_difference[leg])
+            abs(acceleration_torque) + servo.stiffness * self._goal_change_difference[leg]
         )
-        push = (motion_torque + self._holding_torque[leg, FEMUR] - self._load_at_balance(leg, femur)) / self._arm[leg]
+        push = (motion_torque + self._holding_torque[leg] - self._load_at_balance(leg, femur)) / self._arm[leg]
         free = abs(speed) > self._params.free_speed_share * servo.no_load_speed
-        self._push[0, leg] = 0.0 if free else np.sign(push) * max(abs(push) - uncertainty / self._arm[leg], 0.0)
+        self._push[leg] = 0.0 if free else math.copysign(max(abs(push) - uncertainty / self._arm[leg], 0.0), push)
 
     def _load_at_balance(self, leg: int, femur: FemurReading) -> float:
         """Return a femur's motor torque [N m] when the torque balance holds.
 
         A servo read right after new goals may not have received them yet; its spring torque shows which goal it follows.
         """
-        servo, goal = self._profile.servo, float(self._goal[leg])
+        servo, goal = self._profile.servo, self._goal[leg]
         since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), _GOAL_PERIOD_NS)
-        before = goal - float(self._goal_change[leg])
+        before = goal - self._goal_change[leg]
         new, old = (_spring_torque(servo, aim, femur.angle) for aim in (goal, before))
         if (
             since_ns < _TRANSMISSION_NS
@@ -125,12 +130,14 @@ class TouchdownDetector:
 
     def forget(self, legs: NDArray[np.bool_]) -> None:
         """Discard the earlier readings of legs (6,)."""
-        self._push[:, legs] = 0.0
+        for leg, forgets in enumerate(legs.tolist()):
+            if forgets:
+                self._push[leg] = self._push_before[leg] = 0.0
 
     @property
     def push(self) -> Array:
         """(6,) [N] upward ground force on each foot, by the newest readings."""
-        return np.array(self._push[0])
+        return np.array(self._push)
 
     @property
     def touches(self) -> NDArray[np.bool_]:
@@ -145,20 +152,24 @@ class TouchdownDetector:
     @property
     def may_bear(self) -> NDArray[np.bool_]:
         """(6,) feet that stand by their newest reading; the next one has to confirm."""
-        return np.asarray(self._push[0] / self._mass_ratio > self._params.bears_n)
+        least = self._params.bears_n * self._mass_ratio
+        return np.array([push > least for push in self._push])
 
     def _above(self, twice: float, once: float) -> NDArray[np.bool_]:
         """Return feet (6,) whose push exceeds `twice` [N] twice or `once` [N] once."""
-        push = self._push / self._mass_ratio
-        return np.asarray((push > twice).all(axis=0) | (push[0] > once))
+        twice, once = twice * self._mass_ratio, once * self._mass_ratio
+        pushes = zip(self._push, self._push_before, strict=True)
+        return np.array([(push > twice and before > twice) or push > once for push, before in pushes])
 
     def heard(self, now_ns: int) -> NDArray[np.bool_]:
         """(6,) legs with valid recent readings."""
-        return np.asarray(self._valid & (now_ns - self._stamp_ns <= _LATE_NS))
+        oldest = now_ns - _LATE_NS
+        return np.array([valid and stamp >= oldest for valid, stamp in zip(self._valid, self._stamp_ns, strict=True)])
 
     def silent(self, now_ns: int) -> NDArray[np.bool_]:
         """(6,) legs whose servo has not answered for a while; their contact is unknown."""
-        return np.asarray(now_ns - self._stamp_ns > _SILENT_NS)
+        oldest = now_ns - _SILENT_NS
+        return np.array([stamp < oldest for stamp in self._stamp_ns])
 
 
 def _spring_torque(servo: Servo, goal: float, angle: float) -> float:

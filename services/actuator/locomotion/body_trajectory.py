@@ -5,12 +5,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, transform, yaw_of
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 
 LEVEL = np.array([1.0, 1.0, 0.0])  # mask of x, y, z, or of roll, pitch, yaw
 _FOLLOW_GAIN = 2.0  # [1/s] gain with which {cmd} follows {odom}
 # Squared weights of x, y, z and roll, pitch, yaw in the length of a body path: 1 rad counts as 0.14 m.
 _PATH_WEIGHTS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+_AT_REST = 1e-9  # [m/s, rad/s] below which a braking body rests
 _STOP_POSES = 11  # number of candidate rest poses of a stopping body, from the earliest possible one to its goal
 
 
@@ -24,9 +25,14 @@ class BodyTrajectory:
     def __init__(self, T_odom_body: Array):
         """Begin at rest, with {cmd} at {odom}."""
         self.T_odom_cmd: Array = np.eye(4)
-        self.xyz_rpy = xyz_rpy_from(T_odom_body)  # (6,) [m, rad] {cmd} commanded body pose
-        self._velocity = np.zeros(6)  # (6,) [m/s, rad/s] of `xyz_rpy`
+        self._place(xyz_rpy_from(T_odom_body), np.zeros(6))
         self.begin(0.0, 1.0)
+
+    def _place(self, xyz_rpy: Array, velocity: Array) -> None:
+        """Set pose (6,) [m, rad] {cmd} and velocity (6,) [m/s, rad/s] of the body."""
+        self.xyz_rpy, self._velocity = xyz_rpy, velocity
+        self._T_cmd_body = pose(xyz_rpy)
+        self._T_odom_body = self.T_odom_cmd @ self._T_cmd_body
 
     def begin(self, now_s: float, end_s: float, velocity_scale: float = 1.0) -> None:
         """Begin a path at the present pose.
@@ -42,7 +48,7 @@ class BodyTrajectory:
     @property
     def T_odom_body(self) -> Array:
         """(4, 4) {odom} commanded body pose now."""
-        return np.asarray(self.T_odom_cmd @ pose(self.xyz_rpy))
+        return self._T_odom_body.copy()
 
     @property
     def T_cmd_start(self) -> Array:
@@ -59,7 +65,7 @@ class BodyTrajectory:
 
     def to_body(self, points: Array) -> Array:
         """Return points (n, 3) [m] {cmd} in the commanded body frame."""
-        return apply(inverse(pose(self.xyz_rpy)), points)
+        return apply(inverse(self._T_cmd_body), points)
 
     def goal(self, T_world_odom: Array, T_world_body: Array) -> Array:
         """Return a body goal as coordinates (6,) {cmd}, with angles unwrapped."""
@@ -78,7 +84,7 @@ class BodyTrajectory:
         duration_s = self._end_s - self._start_s
         end_velocity = np.zeros(6) if stop else (goal - self._start) / duration_s
         t = min(elapsed_s - self._start_s, duration_s)
-        self.xyz_rpy, self._velocity = hermite(self._start, self._start_velocity, goal, end_velocity, duration_s, t)
+        self._place(*hermite(self._start, self._start_velocity, goal, end_velocity, duration_s, t))
 
     def pause(self) -> None:
         """Stay at the present pose in this cycle."""
@@ -86,8 +92,10 @@ class BodyTrajectory:
 
     def brake(self, dt: float, brake_s: float) -> None:
         """Come to rest without a goal, with a time constant [s]."""
-        self._velocity = self._velocity * np.exp(-dt / brake_s)
-        self.xyz_rpy = self.xyz_rpy + self._velocity * dt
+        if self._velocity.any():
+            velocity = self._velocity * math.exp(-dt / brake_s)
+            velocity[np.abs(velocity) < _AT_REST] = 0.0
+            self._place(self.xyz_rpy + velocity * dt, velocity)
 
     def rest_poses(self, goal: Array, braking_s: float, velocity_scale: float) -> Iterator[Array]:
         """Yield poses (4, 4) {cmd} at which the body could rest, from the earliest possible one to its goal.
@@ -106,20 +114,24 @@ class BodyTrajectory:
 
     def follow(self, dt: float, T_odom_body: Array) -> None:
         """Move {cmd} in {odom} so that commanded and measured x, y and yaw converge."""
-        ref = self.T_odom_body
-        p = ref[:3, 3]
-        offset = (T_odom_body[:3, 3] - p) * LEVEL
-        turn = math.remainder(yaw_of(T_odom_body) - yaw_of(ref), math.tau)
-        R = rotation_z(_FOLLOW_GAIN * dt * turn)
+        ref, gain = self._T_odom_body, _FOLLOW_GAIN * dt
+        turn = gain * math.remainder(yaw_of(T_odom_body) - yaw_of(ref), math.tau)
+        (x, y), (x_measured, y_measured) = ref[:2, 3].tolist(), T_odom_body[:2, 3].tolist()
+        c, s = math.cos(turn), math.sin(turn)
         # First turn about the body, then translate.
-        step = transform(R, p - R @ p + _FOLLOW_GAIN * dt * offset)
+        x_step, y_step = x - (c * x - s * y) + gain * (x_measured - x), y - (s * x + c * y) + gain * (y_measured - y)
+        step = np.array([[c, -s, 0.0, x_step], [s, c, 0.0, y_step], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
         self.T_odom_cmd = step @ self.T_odom_cmd
+        self._T_odom_body = self.T_odom_cmd @ self._T_cmd_body
 
-    def error(self, T_odom_body: Array) -> Array:
-        """Return commanded minus measured coordinates (6,) [m, rad] {cmd} of a measured pose (4, 4)."""
-        error = self.xyz_rpy - xyz_rpy_from(inverse(self.T_odom_cmd) @ T_odom_body)
-        error[3:] = wrapped(error[3:])
-        return np.asarray(error)
+    def level_error(self, T_odom_body: Array) -> tuple[float, float, float]:
+        """Return commanded minus measured height [m], roll and pitch [rad] of the body at a measured pose (4, 4).
+
+        {cmd} and {odom} differ only by x, y and yaw, so these three are the same in both.
+        """
+        (_, _, z), (roll, pitch, _) = T_odom_body[:3, 3].tolist(), rpy_from_rotation(T_odom_body[:3, :3]).tolist()
+        _, _, z_wanted, roll_wanted, pitch_wanted, _ = self.xyz_rpy.tolist()
+        return z_wanted - z, math.remainder(roll_wanted - roll, math.tau), math.remainder(pitch_wanted - pitch, math.tau)
 
 
 def xyz_rpy_from(T: Array) -> Array:
@@ -146,8 +158,10 @@ def hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: floa
     It starts at p0 with velocity v0 and ends at p1 with velocity v1. If both equal the mean velocity, it is a straight line.
     """
     s = t / duration
-    h00, h10 = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s
-    h01, h11 = -2 * s**3 + 3 * s**2, s**3 - s**2
-    position = h00 * p0 + h10 * duration * v0 + h01 * p1 + h11 * duration * v1
-    velocity = 6 * s * (1 - s) * (p1 - p0) / duration + (3 * s**2 - 4 * s + 1) * v0 + (3 * s**2 - 2 * s) * v1
+    rise, slope = s * s * (3.0 - 2.0 * s), 6.0 * s * (1.0 - s) / duration
+    shares = [
+        [1.0 - rise, duration * s * (1.0 - s) * (1.0 - s), rise, -duration * s * s * (1.0 - s)],
+        [-slope, (3.0 * s - 1.0) * (s - 1.0), slope, s * (3.0 * s - 2.0)],
+    ]
+    position, velocity = np.array(shares) @ np.array([p0, v0, p1, v1])
     return position, velocity

@@ -3,38 +3,82 @@
 An AX-12A is a spring of about 9 N m/rad around its goal: a femur that carries 1 N m deflects by 6 degrees, 13 mm at the foot.
 The load of each leg follows from statics, so the goal exceeds the wanted angle by torque over stiffness. Legs are loaded and
 unloaded gradually. Carrying feet push slightly outwards; the friction force there relieves the femora.
+
+The statics are computed in plain numbers, see `sextant.shared.robot.kinematics`.
 """
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot.kinematics import joint_torques, leg_points, link_torques
 from sextant.shared.robot.profile import GRAVITY, RobotProfile
 
-# Keeps the forces bounded while a tripod degenerates; 1e-6 of the contribution of a standing leg.
-_DAMPING = np.diag([1e-6, 1e-8, 1e-8])
+# Keep the forces bounded while a tripod degenerates; 1e-6 of the contribution of a standing leg.
+_DAMPING, _DAMPING_M2 = 1e-6, 1e-8
 _OUTWARDS = 0.15  # mean outward push as a share of the load; friction of rubber on wood is 0.5 or more
 
+Horizontal = tuple[float, float]  # two horizontal components of a point [m] or of a force [N]
 
-def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array:
+
+class LegShape(NamedTuple):
+    """A leg in the vertical plane through its coxa axis."""
+
+    x_out: float  # {body} horizontal direction of that plane, outwards
+    y_out: float
+    femur_x: float  # [m] femur axis to knee, outwards
+    femur_z: float  # [m] the same, upwards
+    tibia_x: float  # [m] knee to foot, outwards
+    tibia_z: float  # [m] the same, upwards
+
+
+def leg_shapes(profile: RobotProfile, q: Array) -> list[LegShape]:
+    """Return the shapes of the six legs at joint angles q (6, 3) [rad]."""
+    links, shapes = profile.links, []
+    for (coxa, femur, tibia), frame in zip(q.tolist(), profile.coxa_frames, strict=True):
+        c, s = math.cos(coxa), math.sin(coxa)
+        shank = femur + tibia
+        shapes.append(
+            LegShape(
+                frame.cos * c - frame.sin * s,
+                frame.sin * c + frame.cos * s,
+                links.femur * math.cos(femur),
+                links.femur * math.sin(femur),
+                links.tibia * math.cos(shank),
+                links.tibia * math.sin(shank),
+            )
+        )
+    return shapes
+
+
+def foot_forces(feet: Sequence[Horizontal], share: Sequence[float], weight: float) -> list[float]:
     """Return vertical ground forces that balance the robot (weighted least squares).
 
     Args:
-        feet: (6, 3) [m] {body, level} feet.
-        share: (6,) share of its load that each leg may carry, 0 to 1.
+        feet: [m] {body, level} horizontal places of the feet relative to the centre of mass.
+        share: Share of its load that each leg may carry, 0 to 1.
         weight: [N] of the robot.
-        p_com: (3,) [m] {body, level} centre of mass.
 
     Returns:
-        (6,) [N], zero where the share is zero. With fewer than three carrying legs the balance is only approximate.
+        [N] for each foot, zero where the share is zero. With fewer than three carrying legs the balance is only approximate.
     """
-    A = np.ones((3, 6))
-    A[1:] = (feet[:, :2] - p_com[:2]).T
-    forces = share * (np.linalg.solve((A * share) @ A.T + _DAMPING, np.array([weight, 0.0, 0.0])) @ A)
-    return np.asarray(np.maximum(forces, 0.0))
+    s0, sx, sy, sxx, sxy, syy = _DAMPING, 0.0, 0.0, _DAMPING_M2, 0.0, _DAMPING_M2
+    for (x, y), part in zip(feet, share, strict=True):
+        s0 += part
+        sx += part * x
+        sy += part * y
+        sxx += part * x * x
+        sxy += part * x * y
+        syy += part * y * y
+    # The forces are share * (a + b x + c y); their sum is the weight, and their moments are zero.
+    a, b, c = sxx * syy - sxy * sxy, sxy * sy - sx * syy, sx * sxy - sxx * sy
+    scale = weight / (s0 * a + sx * b + sy * c)
+    return [max(scale * part * (a + b * x + c * y), 0.0) for (x, y), part in zip(feet, share, strict=True)]
 
 
-def outward_forces(feet: Array, vertical: Array, p_com: Array) -> Array:
+def outward_forces(feet: Sequence[Horizontal], vertical: Sequence[float]) -> list[Horizontal]:
     """Return horizontal ground forces on feet that push outwards.
 
     They relieve the femora and move nothing.
@@ -43,27 +87,33 @@ def outward_forces(feet: Array, vertical: Array, p_com: Array) -> Array:
     these forces sum to zero, and they have no moment about it.
 
     Args:
-        feet: (6, 3) [m] {body, level} feet.
-        vertical: (6,) [N] vertical loads, from `foot_forces`.
-        p_com: (3,) [m] {body, level} centre of mass.
+        feet: [m] {body, level} horizontal places of the feet relative to the centre of mass.
+        vertical: [N] vertical loads, from `foot_forces`.
 
     Returns:
-        (6, 2) [N] {body, level}, towards the centre of mass.
+        [N] {body, level} for each foot, towards the centre of mass.
     """
-    away = feet[:, :2] - p_com[:2]
-    return np.asarray(-_OUTWARDS * vertical[:, None] * away / np.linalg.norm(away, axis=1).mean())
+    push = -_OUTWARDS * len(feet) / sum(math.hypot(x, y) for x, y in feet)
+    return [(push * load * x, push * load * y) for (x, y), load in zip(feet, vertical, strict=True)]
 
 
-def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
-    """Return the centre of mass (3,) [m] {body} at joint angles q (6, 3) [rad].
+def centre_of_mass(profile: RobotProfile, legs: Sequence[LegShape]) -> tuple[float, float, float]:
+    """Return the centre of mass [m] {body} of a robot whose legs have these shapes.
 
     Each link's mass is in its middle. Legs are two fifths of a robot like the PhantomX, so the centre moves by more than a
     centimetre when a tripod swings.
     """
-    points = leg_points(profile, q)
-    middles = (points[:, :-1] + points[:, 1:]) / 2
-    masses = np.array([profile.body.leg_link_masses])
-    return np.asarray((masses @ middles.sum(axis=0))[0] / profile.body.total_mass)
+    body, offset = profile.body, profile.links.coxa
+    coxa_mass, femur_mass, tibia_mass = body.leg_link_masses
+    beyond, leg_mass = femur_mass / 2 + tibia_mass, coxa_mass + femur_mass + tibia_mass
+    at_axis = offset * (coxa_mass / 2 + femur_mass + tibia_mass)
+    x, y, z = (body.mass * part for part in body.centre_of_mass)
+    for leg, frame in zip(legs, profile.coxa_frames, strict=True):
+        out = at_axis + beyond * leg.femur_x + tibia_mass / 2 * leg.tibia_x
+        x += leg_mass * frame.x + out * leg.x_out
+        y += leg_mass * frame.y + out * leg.y_out
+        z += leg_mass * frame.z + beyond * leg.femur_z + tibia_mass / 2 * leg.tibia_z
+    return x / body.total_mass, y / body.total_mass, z / body.total_mass
 
 
 def lag_feed_forward(profile: RobotProfile, q_rate: Array, held_s: float) -> Array:
@@ -97,12 +147,23 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
     Returns:
         (6, 3) [rad], at most the deflection at full servo torque.
     """
+    legs, shares = leg_shapes(profile, q), share.tolist()
+    x_com, y_com, z_com = centre_of_mass(profile, legs)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R_level_body.tolist()
+    arms = [(x - x_com, y - y_com, z - z_com) for x, y, z in feet.tolist()]
+    level = [(xx * x + xy * y + xz * z, yx * x + yy * y + yz * z) for x, y, z in arms]
     # While no leg may carry its whole load, as in standing up, the belly on the ground carries the rest.
-    weight = profile.body.total_mass * GRAVITY * float(share.max())
-    forces = np.zeros((6, 3))
-    feet, p_com = feet @ R_level_body.T, centre_of_mass(profile, q) @ R_level_body.T
-    forces[:, 2] = foot_forces(feet, share, weight, p_com)
-    forces[:, :2] = outward_forces(feet, forces[:, 2], p_com)
-    torques = joint_torques(profile, q, forces @ R_level_body) + link_torques(profile, q)
-    limit = profile.servo.stall_torque
-    return np.asarray(np.minimum(np.maximum(torques, -limit), limit) / profile.servo.stiffness)
+    vertical = foot_forces(level, shares, profile.body.total_mass * GRAVITY * max(shares))
+    horizontal = outward_forces(level, vertical)
+    servo, offset = profile.servo, profile.links.coxa
+    _, femur_mass, tibia_mass = profile.body.leg_link_masses
+    sag = []
+    for leg, (fx, fy), fz in zip(legs, horizontal, vertical, strict=True):
+        x, y, up = xx * fx + yx * fy + zx * fz, xy * fx + yy * fy + zy * fz, xz * fx + yz * fy + zz * fz  # {body}
+        out, aside = x * leg.x_out + y * leg.y_out, y * leg.x_out - x * leg.y_out
+        # Motor torques -J^T f, and those that hold the links, see `link_torques`.
+        coxa = -(offset + leg.femur_x + leg.tibia_x) * aside
+        tibia = leg.tibia_z * out - leg.tibia_x * up + GRAVITY * tibia_mass / 2 * leg.tibia_x
+        femur = leg.femur_z * out - leg.femur_x * up + GRAVITY * (femur_mass / 2 + tibia_mass) * leg.femur_x + tibia
+        sag.append([min(max(torque, -servo.stall_torque), servo.stall_torque) for torque in (coxa, femur, tibia)])
+    return np.array(sag) / servo.stiffness

@@ -105,7 +105,8 @@ class GroundContacts:
 
     def settle(self, feet: Array, dt: float) -> None:
         """Move the commands (6, 3) [m] {cmd} of stopped feet to where they met ground, in place."""
-        feet[self.stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self.met - feet)[self.stopped]
+        if self.stopped.any():
+            feet[self.stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self.met - feet)[self.stopped]
 
     def turn(self, T_odom: Array, T_cmd: Array, feet_odom: Array) -> None:
         """Turn the ground by T (4, 4), given in {odom} and in {cmd}, under feet (6, 3) [m] {odom}."""
@@ -113,4 +114,5 @@ class GroundContacts:
         self.met = apply(T_cmd, self.met)
 
     def _find(self, legs: NDArray[np.bool_], feet_odom: Array, carries: bool) -> None:
-        self._findings += [Finding(leg, feet_odom[leg].copy(), carries) for leg in np.flatnonzero(legs).tolist()]
+        if legs.any():
+            self._findings += [Finding(leg, feet_odom[leg].copy(), carries) for leg in np.flatnonzero(legs).tolist()]

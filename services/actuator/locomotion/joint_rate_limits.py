@@ -65,18 +65,23 @@ class JointRateLimits:
             (6, 3) [rad], and a warning or an empty string. A leg out of reach keeps its last goals.
         """
         lost = np.asarray(~np.isfinite(q_goal).all(axis=1))
-        wanted = np.where(lost[:, None], q_last, q_goal)
+        wanted = np.where(lost[:, None], q_last, q_goal) if lost.any() else q_goal
         limits, fastest = self._profile.joint_limits, self._profile.servo.no_load_speed
         wanted = np.minimum(np.maximum(wanted, limits[..., 0]), limits[..., 1])
         gained = fastest / _FULL_SPEED_S * dt
-        down, up = (np.minimum(np.maximum(way * self._rates, 0.0) + gained, fastest) for way in (-1.0, 1.0))
-        down, up = (np.where(self.gentle, np.minimum(top, self._top), top) for top in (down, up))
+        up = np.minimum(np.maximum(self._rates, 0.0) + gained, fastest)
+        down = np.minimum(gained - np.minimum(self._rates, 0.0), fastest)
+        limiting = self.is_limiting
+        if limiting:
+            down, up = (np.where(self.gentle, np.minimum(top, self._top), top) for top in (down, up))
         q = np.minimum(np.maximum(wanted, q_last - down * dt), q_last + up * dt)
         if dt > 0.0:
             self._rates = (q - q_last) / dt
-        left = np.abs(wanted - q)
-        self.pace = 1.0 - min(float(left.max(where=self.gentle, initial=0.0)) / _WAIT_BEYOND_RAD, 1.0)
-        self.behind &= left > _RESUME_WITHIN_RAD
-        self.gentle &= (left > 1e-9) | self.behind.any(axis=1, keepdims=True)
-        names = [LEGS[leg] for leg in np.flatnonzero(lost)]
+        self.pace = 1.0
+        if limiting:
+            left = np.abs(wanted - q)
+            self.pace -= min(float(left.max(where=self.gentle, initial=0.0)) / _WAIT_BEYOND_RAD, 1.0)
+            self.behind &= left > _RESUME_WITHIN_RAD
+            self.gentle &= (left > 1e-9) | self.behind.any(axis=1, keepdims=True)
+        names = [LEGS[leg] for leg in np.flatnonzero(lost)] if lost.any() else []
         return q, f"foot out of reach, leg held in place: {', '.join(names)}" if names else ""

@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 from sextant.services.actuator.locomotion.params import PostureParams
 from sextant.shared.geometry import Array
 
-_UP = np.array([0.0, 0.0, 1.0])
-
 
 class PostureControl:
     """Integrator that commands each standing foot lower where the body sags.
@@ -21,23 +19,26 @@ class PostureControl:
         self._params = params
         self._pressed = np.zeros(6)  # [m] by which each foot is commanded lower
 
-    def update(self, dt: float, error: Array, feet: Array, share: Array) -> None:
+    def update(self, dt: float, error: tuple[float, float, float], feet: Array, share: Array) -> None:
         """Integrate one cycle.
 
         Args:
             dt: [s] since the last cycle.
-            error: (6,) [m, rad] commanded minus measured x, y, z, roll, pitch, yaw of the body.
+            error: Commanded minus measured height [m], roll and pitch [rad] of the body.
             feet: (6, 3) [m] {body} commanded feet.
             share: (6,) share of its load that each leg may carry, 0 to 1.
         """
-        low = error[2] + error[3] * feet[:, 1] - error[4] * feet[:, 0]
+        height, roll, pitch = error
+        low = height + roll * feet[:, 1] - pitch * feet[:, 0]
         params = self._params
         self._pressed += dt * (share * params.gain * low - (1.0 - share) / params.release_s * self._pressed)
         self._pressed = np.minimum(np.maximum(self._pressed, -params.limit_m), params.limit_m)
 
     def lowered(self, feet: Array) -> Array:
         """Return feet (6, 3) [m] {cmd}, lower by their offsets."""
-        return np.asarray(feet - self._pressed[:, None] * _UP)
+        lower = feet.copy()
+        lower[:, 2] -= self._pressed
+        return lower
 
     def reset(self, legs: NDArray[np.bool_]) -> None:
         """Discard the offsets of legs (6,)."""

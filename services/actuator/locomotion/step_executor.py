@@ -321,7 +321,7 @@ class StepExecutor:
             self.trouble = ""
         body = self._body
         body.follow(dt, T_odom_body)
-        self._posture.update(dt, body.error(T_odom_body), body.to_body(self._feet), self._share)
+        self._posture.update(dt, body.level_error(T_odom_body), body.to_body(self._feet), self._share)
         if felt is not None:
             self._contacts.prove(felt, ~self.flying & ~self.searching)
         if self._running is None:

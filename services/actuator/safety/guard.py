@@ -8,6 +8,7 @@ obeyed. A fault stops the walk while it is present. A condition that the robot c
 off.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -39,21 +40,25 @@ class Act(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Legs:
+class Walk:
     """State of the walk."""
 
     step: int  # the running step, or the last one
     resting: bool  # no step is running
     planned: bool  # a step of a plan is running, not one that the actuator generated
-    swing: NDArray[np.bool_]  # (6,) legs that swing in the running step
-    clearance: Array  # (6,) [m] clearance with which its feet were lifted; infinite while it can still be raised
-    body: Array  # (4, 4) {odom} commanded body pose at the end of the running step, where the next plan begins
-    feet: Array  # (6, 3) [m] {odom} commanded feet at that time
-    body_now: Array  # (4, 4) {odom} commanded body pose now
-    feet_now: Array  # (6, 3) [m] {odom} commanded feet now
-    air_s: Array  # (6,) [s] for which the swinging feet are still in the air; infinite for the others
     trouble: str  # problem of the last step, or an empty string
     waiting_reason: str  # why no plan may be walked yet, or an empty string
+    swing: NDArray[np.bool_]  # (6,) legs that swing in the running step
+    clearance: Array  # (6,) [m] clearance with which its feet were lifted; infinite while it can still be raised
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stance:
+    """The legs when a plan takes effect."""
+
+    body: Array  # (4, 4) {odom} commanded body pose
+    feet: Array  # (6, 3) [m] {odom} commanded feet
+    air_s: Array  # (6,) [s] for which swinging feet are still in the air; infinite for the others
 
 
 class Guard:
@@ -227,23 +232,30 @@ class Guard:
 
     # ----------------------------------------------------------------------------------------------------------- plans
 
-    def accept_plan(self, plan: StepPlan, now_ns: int, legs: Legs) -> bool:
-        """Return whether a plan may be walked; if not, set `refused` to the reason."""
-        closed = self._plan_refusal(now_ns, legs)
+    def accept_plan(self, plan: StepPlan, now_ns: int, walk: Walk, stance: Callable[[bool], Stance]) -> bool:
+        """Return whether a plan may be walked; if not, set `refused` to the reason.
+
+        Args:
+            plan: The plan.
+            now_ns: [ns] the time.
+            walk: State of the walk.
+            stance: Returns the legs now for a revision of the running step, else those at the end of that step.
+        """
+        closed = self._plan_refusal(now_ns, walk)
         self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
-        resting = not legs.planned
-        self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, resting, legs.swing, legs.clearance)
+        resting = not walk.planned
+        self.refused = self.refused or self._check.untimely(plan, now_ns, walk.step, resting, walk.swing, walk.clearance)
         self._refused_at_ns = now_ns
-        if not (self.refused and plan.step <= legs.step and self.refused == out_of_order(plan, legs.step, resting)):
+        if not (self.refused and plan.step <= walk.step and self.refused == out_of_order(plan, walk.step, resting)):
             self._late_since_ns = None
         elif self._late_since_ns is None:
             self._late_since_ns = now_ns
         if self.refused:
             return False
-        revises = plan.step == legs.step
-        self.refused = self._check.unwalkable(
-            plan, legs.body_now if revises else legs.body, legs.feet_now if revises else legs.feet, revises, legs.air_s
-        )
+        revises = plan.step == walk.step
+        if not (revises and self._check.renew(plan)):
+            legs = stance(revises)
+            self.refused = self._check.unwalkable(plan, legs.body, legs.feet, revises, legs.air_s)
         if self.refused:
             self.refused_ns = plan.stamp_ns
             return False
@@ -260,7 +272,7 @@ class Guard:
         late = self._late_since_ns is not None and self._refused_at_ns - self._late_since_ns <= DEADLINE_NS
         return "" if late or now_ns - self._refused_at_ns > PLAN_REFUSAL_NS else self.refused
 
-    def _plan_refusal(self, now_ns: int, legs: Legs) -> str:
+    def _plan_refusal(self, now_ns: int, walk: Walk) -> str:
         """Return why no plan is accepted now, or an empty string."""
         if self.tipped:
             return f"{self.tipped}; order `walk` again"
@@ -274,8 +286,8 @@ class Guard:
             return f"the mode is {self.mode}, not ordered to walk"
         if not self.lease(now_ns):
             return f"no order from {self._arbiter.holder} for {LEASE_NS * 1e-9:.0f} s, the lease has expired"
-        if legs.waiting_reason:
-            return legs.waiting_reason
+        if walk.waiting_reason:
+            return walk.waiting_reason
         if self._late:
             return f"no new plan received for {DEADLINE_NS * 1e-9:.2f} s, the feet are set down first"
         return ""
@@ -314,16 +326,16 @@ class Guard:
         self._enter(Mode.READY, "sitting; order `stand` to rise, or `off`")
         return ()
 
-    def watch(self, now_ns: int, legs: Legs, verdict: Verdict) -> tuple[Act, ...]:
-        """Update the mode from this cycle's legs and health."""
+    def watch(self, now_ns: int, walk: Walk, verdict: Verdict) -> tuple[Act, ...]:
+        """Update the mode from this cycle's walk and health."""
         self._verdict = verdict
         if now_ns - self._objected_ns > OBJECTION_NS:
             self.objection = ""
         if self.mode is Mode.OFF:
             return ()
         still = self.mode in (Mode.READY, Mode.STAND) or self._midway  # an interrupted motion stays where it is
-        rests = legs.resting or still
-        acts = (*self._check_faults(rests, verdict), *self._check_walk(now_ns, legs))
+        rests = walk.resting or still
+        acts = (*self._check_faults(rests, verdict), *self._check_walk(now_ns, walk))
         if verdict.sit and not self._off_when_down:
             acts = (*acts, *self._fall_back(verdict.sit))
         if self.mode is Mode.READY and not verdict.sit:
@@ -361,18 +373,18 @@ class Guard:
                 self._enter(Mode.HOLD, "the fault has cleared")
         return ()
 
-    def _check_walk(self, now_ns: int, legs: Legs) -> tuple[Act, ...]:
+    def _check_walk(self, now_ns: int, walk: Walk) -> tuple[Act, ...]:
         """End the walk after its last step, or when no plan has arrived for too long."""
         if self.mode is not Mode.WALK:
             return ()
         late = f"no new plan received for {DEADLINE_NS * 1e-9:.2f} s" if self._late else ""
         ended = "ordered to stop" if self._halted else late
-        why = self.tipped or "; ".join(words for words in (ended, legs.trouble) if words)
-        if legs.resting:
+        why = self.tipped or "; ".join(words for words in (ended, walk.trouble) if words)
+        if walk.resting:
             self._enter(Mode.HOLD, why or "the last accepted step is finished; no new plan received")
             return ()
         self.reason = why or "walking"
-        if legs.planned and not (self._late or self._halted) and now_ns - self._accepted_ns > DEADLINE_NS:
+        if walk.planned and not (self._late or self._halted) and now_ns - self._accepted_ns > DEADLINE_NS:
             self._late = True
             return (Act.SET_DOWN,)
         return ()

@@ -1,5 +1,6 @@
 """Health limits of servos, battery and computer. Pure: time is an input."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,6 +83,7 @@ class Health:
         self._effort: Array = np.zeros(18)  # mean square share of the stall torque
         self._late = 0  # consecutive late cycles
         self._shutdowns = [_Shutdown() for _ in range(18)]
+        self._shut_down = False  # whether a shutdown of any servo has begun and has not ended
 
     def update(self, now: float, dt: float, vitals: Vitals, torque: bool) -> Verdict:
         """Evaluate one cycle.
@@ -93,15 +95,18 @@ class Health:
             torque: Whether torque should be on.
         """
         self._late = self._late + 1 if dt > LATE * self._period else 0
-        share = vitals.load / self._profile.servo.stall_torque
-        self._effort += (1.0 - np.exp(-dt / _LOAD_TIME_CONSTANT_S)) * (share * share - self._effort)
         # Readings from before a servo, or all of them, fell silent are outdated.
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
+        share = vitals.load / self._profile.servo.stall_torque
+        self._effort += (1.0 - math.exp(-dt / _LOAD_TIME_CONSTANT_S)) * (share * share - self._effort)
         heat, empty = self._heat(dt, vitals.temperature), self._empty(now, dt, np.where(silent, np.nan, vitals.voltage))
-        torque_disabled, weak = self._check_torque(vitals.torque_disabled) if torque else "", self._weak(vitals.strength)
-        unknown = (self._silence(vitals), self._delay(dt), self._error(vitals.errors))
-        broken = (*unknown, torque_disabled, overloaded.broken, weak if torque else "")
+        broken: tuple[str, ...] = (vitals.trouble, self._loss(vitals.loss), self._delay(dt))
+        weak = ""
+        if (silent | vitals.behind | vitals.torque_disabled | (vitals.strength < 1.0) | (vitals.errors > 0)).any():
+            torque_disabled, weak = self._check_torque(vitals.torque_disabled) if torque else "", self._weak(vitals.strength)
+            unknown = (self._silence(vitals), self._loss(vitals.loss), self._behind(vitals.behind), self._delay(dt))
+            broken = (*unknown, self._error(vitals.errors), torque_disabled, overloaded.broken, weak if torque else "")
         sit = next((words for words in (overloaded.sit, heat.sit, empty.sit) if words), "")
         return Verdict(
             broken=next((words for words in broken if words), ""),
@@ -120,10 +125,18 @@ class Health:
             return "no servo answers; check the power of the bus, its cable and the adapter"
         if len(silent):
             return f"{_named(self._profile, silent)} does not answer; check its cable and the cables before it"
-        if vitals.loss > _MAX_LOSS_SHARE:
-            share = f"more than {_MAX_LOSS_SHARE:.0%} of the servos' answers"
-            return f"{share} are lost or broken; check cables, plugs and the bus voltage"
-        behind = np.flatnonzero(vitals.behind)
+        return ""
+
+    def _loss(self, loss: float) -> str:
+        """Return that too many answers are lost, or an empty string."""
+        if loss <= _MAX_LOSS_SHARE:
+            return ""
+        share = f"more than {_MAX_LOSS_SHARE:.0%} of the servos' answers"
+        return f"{share} are lost or broken; check cables, plugs and the bus voltage"
+
+    def _behind(self, servos: NDArray[np.bool_]) -> str:
+        """Return which servos (18,) have missed goals and have not caught up, or an empty string."""
+        behind = np.flatnonzero(servos)
         return f"{_named(self._profile, behind)} is catching up with its goal, slowly" if len(behind) else ""
 
     def _delay(self, dt: float) -> str:
@@ -159,6 +172,8 @@ class Health:
 
     def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:
         """Evaluate servo shutdowns; overload shutdowns are reset a few times."""
+        if not (self._shut_down or (errors & np.uint8(SHUT_DOWN)).any()):
+            return Verdict()
         broken, sit, restore_torque = "", "", list[int]()
         for index, shutdown in enumerate(self._shutdowns):
             if silent[index]:
@@ -192,6 +207,7 @@ class Health:
                 shutdown.since = None
                 shutdown.counted.append(now)
                 restore_torque.append(index)
+        self._shut_down = any(one.since is not None or one.hot_since is not None for one in self._shutdowns)
         return Verdict(broken=broken, sit=sit, restore_torque=tuple(restore_torque))
 
     def _heat(self, dt: float, temperature: Array) -> Verdict:
@@ -200,24 +216,23 @@ class Health:
         Thus a wrong reading that lasts a second has no effect, and real heat is detected without delay.
         """
         known = ~np.isnan(temperature)
-        if not known.any():
-            return Verdict()
-        self._temperature[known] = np.minimum(temperature, self._temperature + _MAX_WARMING_K_S * dt)[known]
-        hottest = int(np.argmax(np.where(known, self._temperature, -np.inf)))
-        below = self._profile.servo.temperature_limit - float(self._temperature[hottest])
+        np.minimum(temperature, self._temperature + _MAX_WARMING_K_S * dt, out=self._temperature, where=known)
+        highest = float(self._temperature.max(where=known, initial=-np.inf))
+        below = self._profile.servo.temperature_limit - highest
         if below >= WARM_K:
             return Verdict()
-        words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C hot"
+        hottest = int(np.argmax(np.where(known, self._temperature, -np.inf)))
+        words = f"{_named(self._profile, [hottest])} is {highest:.0f} deg C hot"
         pace = max(_MIN_PACE, 1.0 - (1.0 - _MIN_PACE) * (WARM_K - below) / (WARM_K - _HOT_K))
         return Verdict(sit=words if below <= _HOT_K else "", pace=pace, warnings=(f"{words}; walking slower",))
 
     def _empty(self, now: float, dt: float, voltage: Array) -> Verdict:
         """Evaluate the battery voltage; a short sag does not count."""
-        if np.isnan(voltage).all():
+        lowest = float(np.fmin.reduce(voltage))
+        if math.isnan(lowest):
             self._low_since = None
             return Verdict()
-        lowest = float(np.nanmin(voltage))
-        rate = 1.0 - np.exp(-dt / _SETTLED_S)
+        rate = 1.0 - math.exp(-dt / _SETTLED_S)
         self._voltage = lowest if np.isnan(self._voltage) else self._voltage + rate * (lowest - self._voltage)
         battery = self._profile.battery
         if self._voltage >= battery.empty_voltage:

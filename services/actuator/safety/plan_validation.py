@@ -23,6 +23,7 @@ GATHERED_S = 0.55  # [s] of a motion at that speed: acceleration takes 8 % of th
 FLIES_AT = 0.8  # share of its clearance, between rise and fall
 SHORTEST_LEFT_S = 0.1  # [s] minimum time in which a revision may ask for the last millimetres
 MOVED = 0.005  # [m] by which a standing leg may miss its foot in a revision, by its length or joint limits
+SAME_M = 1e-6  # [m] difference between two plans for the same step that is due to rounding
 STAYS = np.full(6, np.inf)  # [s]
 
 
@@ -43,6 +44,7 @@ class PlanCheck:
         self._handover_s = handover_s
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
+        self._accepted: StepPlan | None = None  # the last one
 
     def untimely(
         self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_], clearance: Array
@@ -76,6 +78,13 @@ class PlanCheck:
             return f"a revision of step {plan.step} needs more clearance than its feet were lifted with"
         return ""
 
+    def renew(self, plan: StepPlan) -> bool:
+        """Return whether a plan only repeats the last accepted one; it is then the newest, and needs no further check."""
+        renews = self._accepted is not None and _repeats(plan, self._accepted) and not _malformed(plan)
+        if renews:
+            self._last_stamp_ns, self._accepted = plan.stamp_ns, plan
+        return renews
+
     def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False, air_s: Array = STAYS) -> str:
         """Return why a plan must not be walked; an empty string accepts it as the newest.
 
@@ -94,7 +103,7 @@ class PlanCheck:
             or self._too_fast(plan, T_odom_body, feet, air_s if revises and np.isfinite(air_s).any() else None)
         )
         if not reason:
-            self._last_stamp_ns = plan.stamp_ns
+            self._last_stamp_ns, self._accepted = plan.stamp_ns, plan
         return reason
 
     def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
@@ -179,6 +188,20 @@ def out_of_order(plan: StepPlan, running: int, resting: bool) -> str:
 def reaches(profile: RobotProfile, feet: Array) -> bool:
     """Return whether all legs reach feet (6, 3) [m] {body} within joint limits."""
     return bool(within_limits(profile, body_inverse(profile, feet)).all())
+
+
+def _repeats(plan: StepPlan, accepted: StepPlan) -> bool:
+    """Return whether a plan repeats the step of an accepted one.
+
+    The robot's place in {world} may have been corrected meanwhile, so they are compared in {odom}.
+    """
+    if (plan.epoch, plan.step, plan.duration, plan.stop) != (accepted.epoch, accepted.step, accepted.duration, accepted.stop):
+        return False
+    if (plan.swing != accepted.swing).any() or (plan.clearance != accepted.clearance).any():
+        return False
+    T = accepted.T_world_odom @ inverse(plan.T_world_odom)
+    moved = (apply(T, plan.touchdown) - accepted.touchdown)[plan.swing]
+    return bool((np.abs(moved) < SAME_M).all() and (np.abs(T @ plan.body_goal - accepted.body_goal) < SAME_M).all())
 
 
 def _malformed(plan: StepPlan) -> str:

@@ -12,6 +12,7 @@ _CAUGHT_UP_RAD = np.radians(5.0)  # [rad] between a joint and its goal, below wh
 _STILL_RAD_S = np.radians(10.0)  # [rad/s]
 _MIN_MOTION_NS = 100_000_000  # [ns]
 _SILENT_TIMEOUT_NS = 1_000_000_000  # [ns] for silent servos to answer after the first one has answered again
+_UNLIMITED = np.zeros(18, dtype=np.int64)
 
 
 class CatchingUp:
@@ -32,6 +33,8 @@ class CatchingUp:
     @property
     def speed_ticks(self) -> NDArray[np.int64]:
         """(18,) moving speed registers, 0 without a limit."""
+        if not self.behind.any():
+            return _UNLIMITED
         return np.where(self.behind, [dxl.moving_speed_from(speed) for speed in self._max_speed.tolist()], 0)
 
     def leave_behind(self, servos: NDArray[np.bool_], max_speed: float) -> None:

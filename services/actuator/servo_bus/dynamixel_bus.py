@@ -4,6 +4,7 @@ It uses no thread and no sleep; time comes from a clock argument. In the loop on
 broken, refused and implausible packets are counted by reason, and the last reading of their servo ages.
 """
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -315,11 +316,11 @@ class ServoBus:
         rows = self._goal_rows
         rows[:, 1], rows[:, 2] = goals & 0xFF, goals >> 8
         rows[:, 3], rows[:, 4] = speeds & 0xFF, speeds >> 8
-        self._validator.sent(np.broadcast_to(goals, (len(self),)).copy())
+        self._validator.sent(goals.tolist() if goals.ndim else [int(goals)] * len(self))
         packet = dxl.encode(dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, self._goal_head + rows.tobytes())
         self._told_ns = self._clock()
         self._line.send(packet)
-        if self._loss.within(self._clock(), _NOISY_NS):
+        if self._loss.within(self._told_ns, _NOISY_NS):
             self._line.send(packet)
 
     def sync_write(self, register: Register, values: ArrayLike) -> None:
@@ -400,6 +401,12 @@ class ServoBus:
         self._again += ahead  # not read for lack of time
         return readings
 
+    @property
+    def newest_age_s(self) -> float:
+        """Time [s] since the newest reading of any servo was requested, infinite before the first."""
+        newest_ns = max(self._read_ns)
+        return (self._clock() - newest_ns) / _NS_PER_S if newest_ns >= 0 else math.inf
+
     def ages(self) -> NDArray[np.float64]:
         """Return (n,) [s] since each newest reading was requested, infinite before."""
         now = self._clock()
@@ -418,10 +425,10 @@ class ServoBus:
             if start > end_ns:
                 break
             self._asked_ns[index] = start
-            answer = self._line.exchange(self._requests[index], self.servo_ids[index], PRESENT_STATE.size, end_ns)
+            answer = self._line.exchange(self._requests[index], self.servo_ids[index], PRESENT_STATE.size, end_ns, start)
             done = self._clock()
             heard = answer is not None and not self._refuses(answer)
-            found = self._believed(index, start, answer) if heard and answer is not None else None
+            found = self._believed(index, start, answer, done) if heard and answer is not None else None
             if not heard:
                 self._loss.note(done, True)
             if found is not None:
@@ -437,13 +444,13 @@ class ServoBus:
             self._leave_alone(index)
         return None
 
-    def _is_noisy(self, index: int) -> bool:
+    def _is_noisy(self, index: int, now_ns: int) -> bool:
         """Return whether answers were recently lost or broken.
 
         Before a servo's first reading, broken bytes at any earlier time count, too.
         """
         broken = self._read_ns[index] < 0 and self._line.dropped.total() > 0
-        return broken or self._loss.within(self._clock(), _NOISY_NS)
+        return broken or self._loss.within(now_ns, _NOISY_NS)
 
     def _leave_alone(self, index: int) -> None:
         """Skip turns of a servo that has not answered, more the longer it is silent."""
@@ -452,20 +459,19 @@ class ServoBus:
             self._backoff[index] = min(2 * self._backoff[index], _MAX_BACKOFF)
         self._skips[index] = self._backoff[index] - 1
 
-    def _believed(self, index: int, stamp_ns: int, answer: Packet) -> ServoReading | None:
+    def _believed(self, index: int, stamp_ns: int, answer: Packet, now_ns: int) -> ServoReading | None:
         """Return the reading in an answer, or None if it is not plausible yet."""
-        position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
+        registers = position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
         state = State(stamp_ns, position, speed, load, voltage, temperature, answer.code)
-        refused = self._validator.refused.total()
-        believed = self._validator.accepts(index, state, self._is_noisy(index))
-        for _ in range(self._validator.refused.total() - refused):  # this reading, or the earlier one that it contradicts
-            self._loss.note(self._clock(), True)
+        refused = self._validator.refusals
+        believed = self._validator.accepts(index, state, self._is_noisy(index, now_ns))
+        for _ in range(self._validator.refusals - refused):  # this reading, or the earlier one that it contradicts
+            self._loss.note(now_ns, True)
         if not believed:
             return None
-        self._loss.note(self._clock(), False)
+        self._loss.note(now_ns, False)
         self.errors[index] = answer.code
-        measured, error = PRESENT_STATE.unpack(answer.parameters), ServoError(answer.code)
-        return reading(index, answer.servo_id, stamp_ns, self._told_ns, measured, error)
+        return reading(index, answer.servo_id, stamp_ns, self._told_ns, registers, ServoError(answer.code))
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer with `size` parameters, or None.

@@ -64,6 +64,9 @@ class Joints:
         """
         self._profile, self._settings, self._clock = profile, settings, clock
         self._opener = opener or PortFinder(settings).open
+        self._signs_and_offsets = list(
+            zip(profile.servo_signs.ravel().tolist(), profile.horn_offsets.ravel().tolist(), strict=True)
+        )
         self._budget_ns = round(settings.read_budget_ms * 1e6)
         self._latched = latched
         self._off_ordered = latched()  # whether an order requires torque off
@@ -77,6 +80,9 @@ class Joints:
         self._catching_up = CatchingUp()
         self.q = self.goals = np.zeros((6, 3))  # [rad] joint angles by the newest readings; goals as stored in the servos
         self.torque = np.zeros(18, dtype=np.bool_)  # servos with torque on
+        self._torque_flags = b""  # torque and errors for which the next two were computed
+        self._torque_disabled: NDArray[np.bool_] = np.zeros((6, 3), dtype=np.bool_)
+        self._legs_without_torque: NDArray[np.bool_] = np.zeros(6, dtype=np.bool_)
         self.strength = np.ones(18)  # torque limit of each servo, as a share of its maximum
         self._max_torque = np.full(18, dxl.TORQUE_LIMIT.max)  # Max Torque register of each servo
         self._adopt_state([self._wait_for_state(i) for i in self._bus.servo_ids])
@@ -102,14 +108,14 @@ class Joints:
     @property
     def not_responding(self) -> bool:
         """Whether goals should not change, because servos may not receive them."""
-        return bool(self.trouble) or self.all_behind or float(self._bus.ages().min()) > _NO_READING_S
+        return bool(self.trouble) or self.all_behind or self._bus.newest_age_s > _NO_READING_S
 
     @property
     def vitals(self) -> Vitals:
         """Servo state that the health monitor evaluates."""
         return Vitals(
             missed=self._bus.missed,
-            newest=float(self._bus.ages().min()),
+            newest=self._bus.newest_age_s,
             load=self.load.ravel(),
             voltage=self.voltage,
             temperature=self.temperature,
@@ -129,16 +135,25 @@ class Joints:
     @property
     def torque_disabled(self) -> NDArray[np.bool_]:
         """(6, 3) joints whose servo has no torque or has shut down."""
-        return np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
+        flags = self.torque.tobytes() + self._bus.errors.tobytes()
+        if flags != self._torque_flags:  # it is read several times in a cycle
+            self._torque_flags = flags
+            self._torque_disabled = np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
+            self._legs_without_torque = np.asarray(self._torque_disabled.any(axis=1))
+            self._torque_disabled.flags.writeable = self._legs_without_torque.flags.writeable = False
+        return self._torque_disabled
 
     @property
     def legs_without_torque(self) -> NDArray[np.bool_]:
         """(6,) legs with at least one servo without torque."""
-        return np.asarray(self.torque_disabled.any(axis=1))
+        _ = self.torque_disabled
+        return self._legs_without_torque
 
     @property
     def unsure(self) -> NDArray[np.bool_]:
         """(6, 3) joints without torque, or not yet at their goal after their servos missed goals."""
+        if not self._catching_up.behind.any():
+            return self.torque_disabled
         return np.asarray(self.torque_disabled | self._catching_up.behind.reshape(6, 3))
 
     # --------------------------------------------------------------------------------------------------- every cycle
@@ -168,7 +183,9 @@ class Joints:
         Servos that have missed goals get a low speed, because their position is unknown when they respond again.
         """
         self.goals = q_goal
-        self._catching_up.leave_behind(self._bus.missed >= SILENT, LOWERED)
+        silent = self._bus.missed >= SILENT
+        if silent.any():
+            self._catching_up.leave_behind(silent, LOWERED)
         ticks, speeds = _ticks(self._profile.servo_angles(q_goal).ravel()), self._catching_up.speed_ticks
         self._call_bus(lambda: self._bus.sync_write_goals(ticks, speeds))
 
@@ -248,15 +265,16 @@ class Joints:
                 return
 
     def _store_reading(self, reading: ServoReading) -> None:
-        leg, joint = divmod(reading.index, 3)
-        sign = self._profile.servo_signs[leg, joint]
-        self.q[leg, joint] = sign * reading.position - self._profile.horn_offsets[leg, joint]
+        index = reading.index
+        leg, joint = divmod(index, 3)
+        sign, offset = self._signs_and_offsets[index]
+        q = sign * reading.position - offset
+        self.q[leg, joint] = q
         self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
-        self.voltage[reading.index] = reading.voltage
-        self.temperature[reading.index] = reading.temperature
-        self._catching_up.note_reading(
-            reading.index, reading.stamp_ns, self.q[leg, joint] - self.goals[leg, joint], reading.speed
-        )
+        self.voltage[index] = reading.voltage
+        self.temperature[index] = reading.temperature
+        if self._catching_up.behind[index]:
+            self._catching_up.note_reading(index, reading.stamp_ns, q - float(self.goals[leg, joint]), reading.speed)
 
     def _clipped_to_limits(self, q: Array) -> Array:
         """Return joint angles (6, 3) [rad] clipped to the joint limits."""
@@ -265,7 +283,7 @@ class Joints:
 
     def _check_silence(self) -> None:
         """Treat all joint positions as unknown if no servo answers, until all servos have caught up."""
-        if float(self._bus.ages().min()) > _BUS_LOST_S:
+        if self._bus.newest_age_s > _BUS_LOST_S:
             self.mark_stale()
         else:
             self._catching_up.update_all_behind(self._clock())

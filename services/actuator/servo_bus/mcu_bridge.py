@@ -4,6 +4,7 @@ It uses no thread and no sleep; time comes from a clock argument. In the loop on
 and out-of-order frames are counted by reason, and the servo readings age.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
@@ -267,6 +268,12 @@ class Bridge:
         readings = list(self._fresh.values())
         self._fresh.clear()
         return readings
+
+    @property
+    def newest_age_s(self) -> float:
+        """Time [s] since the newest reading of any servo was requested, infinite before the first."""
+        newest_ns = max(self._read_ns)
+        return (self._clock() - newest_ns) * 1e-9 if newest_ns >= 0 else math.inf
 
     def ages(self) -> NDArray[np.float64]:
         """Return (n,) [s] since each newest reading was requested, infinite before."""

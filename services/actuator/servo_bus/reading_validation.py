@@ -8,9 +8,6 @@ from collections import Counter, deque
 from enum import StrEnum
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sextant.shared.servo import dynamixel as dxl
 
 _NS_PER_S = 1e9
@@ -66,16 +63,21 @@ class ReadingValidator:
             no_load_speed: [rad/s] of their model.
         """
         self.refused: Counter[str] = Counter()  # readings that were rejected, by `Implausibility`
+        self.refusals = 0  # number of them
         self._accepted: list[State | None] = [None] * n  # last accepted reading of each servo
         self._doubted: list[tuple[State, Implausibility] | None] = [None] * n  # its newest reading if that is doubted, and why
         self._voltage: int | None = None  # [0.1 V] last accepted one of any servo, because they share one supply
-        self._goals: deque[NDArray[np.int64]] = deque(maxlen=_RECENT_GOALS)
+        self._goals: deque[list[int]] = deque(maxlen=_RECENT_GOALS)
+        self._lowest: list[int] = []  # [ticks] of the recent goals of each servo
+        self._highest: list[int] = []
         self._max_speed = _MAX_SPEED_RATIO * no_load_speed  # [rad/s]
         self._goal_offset = [0] * n  # [ticks] distance of each last accepted position from the range of its recent goals
 
-    def sent(self, goal_ticks: NDArray[np.int64]) -> None:
-        """Store the goals (n,) that were sent to the servos."""
+    def sent(self, goal_ticks: list[int]) -> None:
+        """Store the goals that were sent to the n servos."""
         self._goals.append(goal_ticks)
+        self._lowest = [min(goals) for goals in zip(*self._goals, strict=True)]
+        self._highest = [max(goals) for goals in zip(*self._goals, strict=True)]
 
     def accepts(self, index: int, state: State, noisy: bool) -> bool:
         """Return whether to accept a reading; otherwise the caller should request it again.
@@ -89,17 +91,21 @@ class ReadingValidator:
         """
         doubt = self._find_implausibility(index, state, noisy)
         if doubt is Implausibility.RANGE:  # a second reading like this would be as wrong
-            self.refused[doubt] += 1
+            self._refuse(doubt)
             return False
         doubted = self._doubted[index]
         if doubt is not None and doubted is not None and _agree(doubted[0], state, self._max_speed):
             doubt, doubted = None, None
         if doubted is not None:
-            self.refused[doubted[1]] += 1
+            self._refuse(doubted[1])
         self._doubted[index] = None if doubt is None else (state, doubt)
         if doubt is None:
             self._accept(index, state)
         return doubt is None
+
+    def _refuse(self, why: Implausibility) -> None:
+        self.refused[why] += 1
+        self.refusals += 1
 
     def _accept(self, index: int, state: State) -> None:
         self._accepted[index], self._voltage = state, state.voltage
@@ -108,8 +114,7 @@ class ReadingValidator:
 
     def _bound(self, index: int, position: int) -> tuple[int, int]:
         """Return lowest and highest recent goal of a servo; without one, its position."""
-        goals = [int(goals[index]) for goals in self._goals] or [position]
-        return min(goals), max(goals)
+        return (self._lowest[index], self._highest[index]) if self._goals else (position, position)
 
     def _find_implausibility(self, index: int, state: State, noisy: bool) -> Implausibility | None:
         """Return why a reading is doubtful, or None."""

@@ -187,15 +187,16 @@ class SerialLine:
         """Bytes and packets that were no answer, by `dynamixel.Dropped`."""
         return self._parser.dropped
 
-    def send(self, data: bytes) -> None:
-        """Send a packet.
+    def send(self, data: bytes, now_ns: int | None = None) -> None:
+        """Send a packet; `now_ns` [ns] is the present time if the caller has just read its clock.
 
         Raises:
             BusDisconnectedError: The port is gone.
         """
         try:
             # A late answer would be taken for that to the next request; with echo it is recognised, as it precedes the echo.
-            if self._stale or (not self._echo and self._clock() < self._settled_ns):
+            now_ns = self._clock() if now_ns is None else now_ns
+            if self._stale or (not self._echo and now_ns < self._settled_ns):
                 self._port.reset_input_buffer()
                 self._unheard.clear()
                 self._stale = False
@@ -205,16 +206,17 @@ class SerialLine:
         if self._echo:
             self._unheard += data
 
-    def exchange(self, request: bytes, servo_id: int, size: int, end_ns: int) -> Packet | None:
+    def exchange(self, request: bytes, servo_id: int, size: int, end_ns: int, now_ns: int | None = None) -> Packet | None:
         """Like `attempt`, and count a missing answer."""
-        answer = self.attempt(request, servo_id, size, end_ns)
-        self.lost[Lost.TIMEOUT] += answer is None
+        answer = self.attempt(request, servo_id, size, end_ns, now_ns)
+        if answer is None:
+            self.lost[Lost.TIMEOUT] += 1
         return answer
 
-    def attempt(self, request: bytes, servo_id: int, size: int, end_ns: int) -> Packet | None:
+    def attempt(self, request: bytes, servo_id: int, size: int, end_ns: int, now_ns: int | None = None) -> Packet | None:
         """Send a request and return the servo's answer or refusal, else None.
 
-        An answer has `size` parameters.
+        An answer has `size` parameters. `now_ns` [ns] is the present time if the caller has just read its clock.
 
         A read that may take a whole timeout begins by `end_ns`, except for the first.
 
@@ -223,8 +225,9 @@ class SerialLine:
         """
         if self._parser.pending:  # from earlier data
             self._parser.flush()
-        self.send(request)
-        answer = self._await(servo_id, size, end_ns)
+        now_ns = self._clock() if now_ns is None else now_ns
+        self.send(request, now_ns)
+        answer = self._await(servo_id, size, end_ns, now_ns)
         if answer is None:
             self._stale, self._settled_ns = True, self._clock() + _SETTLES_NS
         return answer
@@ -263,10 +266,9 @@ class SerialLine:
             raise gone(error) from error
         return heard
 
-    def _await(self, servo_id: int, size: int, end_ns: int) -> Packet | None:
-        deadline = min(self._clock() + self.reply_timeout_ns, end_ns + 1)
+    def _await(self, servo_id: int, size: int, end_ns: int, now_ns: int) -> Packet | None:
+        deadline = min(now_ns + self.reply_timeout_ns, end_ns + 1)
         wanted = dxl.OVERHEAD + size
-        own = dxl.HEADER + bytes((servo_id,))
         while True:
             data = self._receive(wanted)
             if data is None:
@@ -276,7 +278,11 @@ class SerialLine:
                 if self._is_answer(packet, servo_id, size):
                     return packet
             # A broken answer has arrived, and no other will follow.
-            broken = not self._parser.pending and len(data) == dxl.OVERHEAD + size and data.startswith(own)
+            broken = (
+                not self._parser.pending
+                and len(data) == dxl.OVERHEAD + size
+                and data.startswith(dxl.HEADER + bytes((servo_id,)))
+            )
             if broken or self._clock() >= deadline:
                 break
             # Noise before the packet has displaced its end from the bytes read.

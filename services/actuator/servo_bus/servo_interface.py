@@ -89,8 +89,9 @@ class Servos(Protocol):
         """Return new readings within a time budget; those of `first` in any case."""
         ...
 
-    def ages(self) -> NDArray[np.float64]:
-        """Return (n,) [s] since each newest reading was requested, infinite before."""
+    @property
+    def newest_age_s(self) -> float:
+        """Time [s] since the newest reading of any servo was requested, infinite before the first."""
         ...
 
     def close(self) -> None:

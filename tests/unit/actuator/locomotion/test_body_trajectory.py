@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.services.actuator.locomotion.body_trajectory import BodyTrajectory, hermite, pose, wrapped, xyz_rpy_from
-from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.geometry import Array, from_xyz_rpy, inverse
 
 START = from_xyz_rpy((0.1, -0.2, 0.1), (0.02, -0.03, 0.4))
 GOAL = from_xyz_rpy((0.16, -0.18, 0.11), (0.0, 0.01, 0.5))
@@ -86,7 +86,11 @@ def test_frame_follows_the_measured_pose_in_the_plane_only() -> None:
         body.follow(0.02, measured)
     np.testing.assert_allclose(body.T_odom_body[:2, 3], measured[:2, 3], atol=1e-4)
     assert body.T_odom_body[2, 3] == pytest.approx(START[2, 3])
-    np.testing.assert_allclose(body.error(measured)[[2]], [-0.03], atol=1e-6)
+    np.testing.assert_allclose(body.level_error(measured), [-0.03, 0.0, 0.0], atol=1e-6)
+    turned = measured @ from_xyz_rpy(np.zeros(3), (0.01, -0.02, 0.0))
+    _, roll, pitch = body.level_error(turned)
+    in_cmd = xyz_rpy_from(inverse(body.T_odom_cmd) @ turned)
+    np.testing.assert_allclose([roll, pitch], (body.xyz_rpy - in_cmd)[3:5], atol=1e-9)
     np.testing.assert_allclose(body.to_odom(body.to_cmd(np.eye(3))), np.eye(3), atol=1e-12)
 
 

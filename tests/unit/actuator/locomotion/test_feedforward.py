@@ -1,5 +1,7 @@
 """Ground forces from statics, and goals that compensate the servos' compliance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,11 +13,14 @@ from sextant.services.actuator.locomotion.feedforward import (
     centre_of_mass,
     foot_forces,
     lag_feed_forward,
+    leg_shapes,
     outward_forces,
     sag_feed_forward,
 )
 from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.robot import stability
 from sextant.shared.robot.kinematics import body_forward, body_inverse, joint_torques, leg_points, link_torques
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 
 Flags = NDArray[np.bool_]
@@ -33,6 +38,25 @@ def random_feet_and_centre(seed: int) -> tuple[Array, Array]:
     return REST + rng.uniform(-0.02, 0.02, (6, 3)), np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
 
 
+def vertical_forces(feet: Array, share: Array, centre: Array) -> Array:
+    """Return vertical forces (6,) [N] on feet (6, 3) [m] of a level body with a centre of mass (3,) [m]."""
+    return np.array(foot_forces(offsets(feet, centre), share.tolist(), WEIGHT))
+
+
+def outward(feet: Array, vertical: Array, centre: Array) -> Array:
+    """Return the horizontal forces (6, 2) [N] of these feet."""
+    return np.array(outward_forces(offsets(feet, centre), vertical.tolist()))
+
+
+def offsets(feet: Array, centre: Array) -> list[tuple[float, float]]:
+    return [(x, y) for x, y in (feet[:, :2] - centre[:2]).tolist()]
+
+
+def com(q: Array, profile: RobotProfile = PROFILE) -> Array:
+    """Return the centre of mass (3,) [m] {body}."""
+    return np.array(centre_of_mass(profile, leg_shapes(profile, q)))
+
+
 def balance(feet: Array, forces: Array, centre: Array) -> Array:
     """Return the sum of vertical forces [N] and their moments about x and y [N m]."""
     arms = feet[:, :2] - centre[:2]
@@ -42,14 +66,14 @@ def balance(feet: Array, forces: Array, centre: Array) -> Array:
 @given(st.integers(0, 2**32 - 1), SHARES)
 def test_forces_balance_weight_and_moments(seed: int, share: list[float]) -> None:
     feet, centre = random_feet_and_centre(seed)
-    forces = foot_forces(feet, np.array(share), WEIGHT, centre)
+    forces = vertical_forces(feet, np.array(share), centre)
     assert (forces >= 0).all()
     np.testing.assert_allclose(balance(feet, forces, centre), [WEIGHT, 0.0, 0.0], atol=1e-2)
 
 
 @pytest.mark.parametrize("standing", TRIPODS)
 def test_tripod_carries_full_weight_and_swing_legs_none(standing: Flags) -> None:
-    forces = foot_forces(REST, standing.astype(float), WEIGHT, np.zeros(3))
+    forces = vertical_forces(REST, standing.astype(float), np.zeros(3))
     np.testing.assert_array_equal(forces[~standing], 0.0)
     np.testing.assert_allclose(balance(REST, forces, np.zeros(3)), [WEIGHT, 0.0, 0.0], atol=1e-2)
 
@@ -57,8 +81,8 @@ def test_tripod_carries_full_weight_and_swing_legs_none(standing: Flags) -> None
 @given(st.integers(0, 2**32 - 1), SHARES)
 def test_outward_forces_have_no_net_force_or_moment(seed: int, share: list[float]) -> None:
     feet, centre = random_feet_and_centre(seed)
-    vertical = foot_forces(feet, np.array(share), WEIGHT, centre)
-    forces = outward_forces(feet, vertical, centre)
+    vertical = vertical_forces(feet, np.array(share), centre)
+    forces = outward(feet, vertical, centre)
     arms = feet[:, :2] - centre[:2]
     np.testing.assert_allclose(forces.sum(axis=0), 0.0, atol=1e-2)
     np.testing.assert_allclose(arms[:, 0] @ forces[:, 1] - arms[:, 1] @ forces[:, 0], 0.0, atol=1e-9)
@@ -71,10 +95,10 @@ def test_outward_forces_reduce_femur_torque_of_a_tripod(name: str, standing: Fla
     profile = load_profile(name)
     feet = profile.rest_feet()
     q = body_inverse(profile, feet)
-    centre, forces = centre_of_mass(profile, q), np.zeros((6, 3))
-    forces[:, 2] = foot_forces(feet, standing.astype(float), profile.body.total_mass * GRAVITY, centre)
+    centre, forces = com(q, profile), np.zeros((6, 3))
+    forces[:, 2] = foot_forces(offsets(feet, centre), standing.astype(float).tolist(), profile.body.total_mass * GRAVITY)
     without = np.abs(joint_torques(profile, q, forces))
-    forces[:, :2] = outward_forces(feet, forces[:, 2], centre)
+    forces[:, :2] = outward(feet, forces[:, 2], centre)
     pushing = np.abs(joint_torques(profile, q, forces))
     assert (pushing[standing, 1] < 0.95 * without[standing, 1]).all()
     assert (pushing.max(axis=1) <= without.max(axis=1)).all()  # and no other joint bears more
@@ -84,7 +108,7 @@ def test_foot_force_falls_with_load_share() -> None:
     share = np.ones(6)
     forces = []
     for share[2] in (1.0, 0.6, 0.3, 0.0):
-        forces.append(foot_forces(REST, share, WEIGHT, np.zeros(3))[2])
+        forces.append(vertical_forces(REST, share, np.zeros(3))[2])
     assert (np.diff(forces) < 0).all()
     assert forces[-1] == 0.0
 
@@ -92,7 +116,7 @@ def test_foot_force_falls_with_load_share() -> None:
 @given(st.lists(st.floats(0, 1), min_size=6, max_size=6), st.integers(0, 2**32 - 1))
 def test_forces_stay_bounded_for_any_load_shares(share: list[float], seed: int) -> None:
     feet = REST + np.random.default_rng(seed).uniform(-0.1, 0.1, (6, 3))
-    forces = foot_forces(feet, np.array(share), WEIGHT, np.zeros(3))
+    forces = vertical_forces(feet, np.array(share), np.zeros(3))
     assert np.isfinite(forces).all()
     assert (forces >= 0).all()
     assert forces.max() < 1e3 * WEIGHT
@@ -135,9 +159,9 @@ def test_sag_feedforward_balances_spring_and_load(seed: int) -> None:
     feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
     q = body_inverse(PROFILE, feet)
     torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, feet, np.ones(6), np.eye(3)) - link_torques(PROFILE, q)
-    centre = centre_of_mass(PROFILE, q)
-    vertical = foot_forces(feet, np.ones(6), WEIGHT, centre)
-    forces = np.column_stack([outward_forces(feet, vertical, centre), vertical])
+    centre = com(q)
+    vertical = vertical_forces(feet, np.ones(6), centre)
+    forces = np.column_stack([outward(feet, vertical, centre), vertical])
     for joint in range(3):  # virtual work without the Jacobian: the motor's work equals the work against the ground's force
         turned = q.copy()
         turned[:, joint] += 1e-6
@@ -147,7 +171,7 @@ def test_sag_feedforward_balances_spring_and_load(seed: int) -> None:
 
 def test_downhill_legs_carry_more_on_slope() -> None:
     R_level_body = from_xyz_rpy(np.zeros(3), (0.0, np.radians(10.0), 0.0))[:3, :3]  # nose down: the front feet are downhill
-    flat, tilted = (foot_forces(REST @ R.T, np.ones(6), WEIGHT, np.zeros(3)) for R in (np.eye(3), R_level_body))
+    flat, tilted = (vertical_forces(REST @ R.T, np.ones(6), np.zeros(3)) for R in (np.eye(3), R_level_body))
     assert (tilted[:2] > flat[:2]).all()
     assert (tilted[3:5] < flat[3:5]).all()
 
@@ -178,17 +202,24 @@ def test_link_torques_are_gradient_of_potential_energy() -> None:
         for sign in (-1.0, 1.0):
             turned = q.copy()
             turned[index] += sign * small
-            ends.append(WEIGHT * centre_of_mass(PROFILE, turned)[2])
+            ends.append(WEIGHT * com(turned)[2])
         slopes[index] = (ends[1] - ends[0]) / (2 * small)
     np.testing.assert_allclose(link_torques(PROFILE, q), slopes, atol=1e-7)
 
 
 def test_swinging_tripod_forward_moves_centre_of_mass_forward() -> None:
-    at_rest = centre_of_mass(PROFILE, body_inverse(PROFILE, REST))
+    at_rest = com(body_inverse(PROFILE, REST))
     np.testing.assert_allclose(at_rest[:2], 0.0, atol=1e-3)  # because rear feet stand further out than front feet
     ahead = REST + np.where(TRIPODS[0][:, None], [0.04, 0.0, 0.02], 0.0)
-    moved = centre_of_mass(PROFILE, body_inverse(PROFILE, ahead)) - at_rest
+    moved = com(body_inverse(PROFILE, ahead)) - at_rest
     assert 0.002 < moved[0] < 0.02
+
+
+def test_centre_of_mass_is_that_of_stability_also_for_an_uneven_trunk() -> None:
+    uneven = replace(PROFILE, body=replace(PROFILE.body, centre_of_mass=(0.03, -0.01, 0.02)))
+    q = body_inverse(PROFILE, REST + np.random.default_rng(3).uniform(-0.03, 0.03, (6, 3)))
+    for profile in (PROFILE, uneven):
+        np.testing.assert_allclose(com(q, profile), stability.centre_of_mass(profile, q), atol=1e-12)
 
 
 def test_lag_feedforward_matches_damping_torque_up_to_stall() -> None:

@@ -10,15 +10,16 @@ from sextant.shared.robot.profiles import load_profile
 REST = load_profile("phantomx_mk2").rest_feet()
 ALL = np.ones(6)
 GAIN, DT = 6.0, 0.02
-LOW, ROLLED, PITCHED = np.eye(6)[2:5] * 0.005
+LOW, ROLLED, PITCHED = (0.005, 0.0, 0.0), (0.0, 0.005, 0.0), (0.0, 0.0, 0.005)  # [m, rad, rad] height, roll, pitch
 
 
 @pytest.mark.parametrize("error", [LOW, ROLLED, PITCHED])
-def test_feet_are_lowered_where_the_body_is_too_low(error: np.ndarray) -> None:
+def test_feet_are_lowered_where_the_body_is_too_low(error: tuple[float, float, float]) -> None:
     control = PostureControl(PostureParams(gain=GAIN))
     control.update(DT, error, REST, ALL)
     down = REST[:, 2] - control.lowered(REST)[:, 2]
-    low = error[2] + error[3] * REST[:, 1] - error[4] * REST[:, 0]
+    height, roll, pitch = error
+    low = height + roll * REST[:, 1] - pitch * REST[:, 0]
     np.testing.assert_allclose(down, GAIN * DT * low, atol=1e-12)
 
 
@@ -37,7 +38,7 @@ def test_the_offset_of_an_unloaded_foot_decays_and_that_of_a_loaded_one_stays() 
     before = (REST - control.lowered(REST))[:, 2]
     share[0] = 0.0
     for _ in range(30):
-        control.update(DT, 0.0 * LOW, REST, share)
+        control.update(DT, (0.0, 0.0, 0.0), REST, share)
     after = (REST - control.lowered(REST))[:, 2]
     assert after[0] < 0.01 * before[0]
     np.testing.assert_array_equal(after[1:], before[1:])

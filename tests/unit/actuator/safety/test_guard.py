@@ -192,7 +192,7 @@ class Everything(RuleBasedStateMachine):
         rested(robot)
         robot.still, robot.posing, robot.next = False, "", None
         robot.step, robot.swing = 0, np.zeros(6, dtype=bool)
-        robot.guard.watch(robot.now, robot.legs, robot.verdict)
+        robot.guard.watch(robot.now, robot.walk, robot.verdict)
         self.newest, self.holder, self.heard, self.begun, self.woke_ns = {}, "", -1, robot.now, -1
         self.ordered_to_walk = self.late = self.halted = self.seats = False
 
@@ -220,7 +220,7 @@ class Everything(RuleBasedStateMachine):
             case "next":
                 self.accept_plan(robot.plan(), good=True)
             case "renewal":
-                self.accept_plan(robot.renewal(), good=robot.legs.planned)
+                self.accept_plan(robot.renewal(), good=robot.walk.planned)
             case _:
                 self.accept_plan(BAD[kind][0](robot), good=False)
 
@@ -241,7 +241,7 @@ class Everything(RuleBasedStateMachine):
         assert plan.stamp_ns > max(self.stamps)
         assert abs(robot.now - plan.stamp_ns) <= AGE_NS
         assert plan.epoch == robot.guard.epoch
-        assert plan.step == robot.step + 1 or (plan.step == robot.step and robot.legs.planned)
+        assert plan.step == robot.step + 1 or (plan.step == robot.step and robot.walk.planned)
         assert was in (Mode.HOLD, Mode.WALK)
         assert self.leader, "a living lease"
         assert self.ordered_to_walk
@@ -273,7 +273,7 @@ class Everything(RuleBasedStateMachine):
         assert Act.TORQUE_OFF not in acts or (was is Mode.SIT and ends), (
             "only an order turns the torque of a standing robot off"
         )
-        overdue = robot.legs.planned and robot.now - self.accepted > DEADLINE_NS
+        overdue = robot.walk.planned and robot.now - self.accepted > DEADLINE_NS
         if walked and overdue and not self.late and not self.halted:
             assert Act.SET_DOWN in acts
             self.late = True

@@ -1,6 +1,7 @@
 """Guard and plans: acceptance, the deadline, faults and unsustainable conditions."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,8 +9,8 @@ import pytest
 from sextant.services.actuator.safety.command_arbiter import LEASE_NS
 from sextant.services.actuator.safety.guard import DEADLINE_NS, PLAN_REFUSAL_NS, Act
 from sextant.services.actuator.safety.health_monitor import Verdict
-from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.wire.messages import Mode, ModeCommand
+from sextant.shared.geometry import apply, from_xyz_rpy
+from sextant.shared.wire.messages import Mode, ModeCommand, StepPlan
 from tests.support.guarded import BAD, BROKEN, CYCLE, EPOCH, FEET, PROFILE, SPENT, in_mode, rested
 
 POWERED = [mode for mode in Mode if mode is not Mode.OFF]
@@ -55,13 +56,41 @@ def test_revision_is_checked_from_current_pose_next_step_from_end_pose() -> None
     robot = in_mode(Mode.WALK)
     away = from_xyz_rpy((1.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
     there = FEET + np.array([1.0, 0.0, 0.0])
-    ends_there, is_there = replace(robot.legs, body=away, feet=there), replace(robot.legs, body_now=away, feet_now=there)
+    here, beyond = robot.stance_now, replace(robot.stance_now, body=away, feet=there)
     next_step = robot.plan(body_goal=away, touchdown=there)
     revision = robot.renewal(stamp_ns=robot.now + 1, body_goal=away, touchdown=there)
-    assert not robot.guard.accept_plan(next_step, robot.now, is_there)
-    assert not robot.guard.accept_plan(revision, robot.now, ends_there)
-    assert robot.guard.accept_plan(next_step, robot.now, ends_there)
-    assert robot.guard.accept_plan(revision, robot.now, is_there)
+    robot.stance_now, robot.stance_at_end = beyond, here
+    assert not robot.accept_plan(next_step)
+    robot.stance_now, robot.stance_at_end = here, beyond
+    assert not robot.accept_plan(revision)
+    assert robot.accept_plan(next_step)
+    robot.stance_now, robot.stance_at_end = beyond, here
+    assert robot.accept_plan(revision)
+
+
+def test_revision_that_only_repeats_the_step_is_not_checked_again() -> None:
+    robot = in_mode(Mode.HOLD)
+    turned = from_xyz_rpy((0.4, -0.2, 0.0), (0.0, 0.0, 0.7))  # the pose estimate in {world} is corrected meanwhile
+
+    def corrected(plan: StepPlan, **changes: Any) -> StepPlan:
+        moved = {"touchdown": apply(turned, plan.touchdown), "body_goal": turned @ plan.body_goal, "T_world_odom": turned}
+        return replace(plan, stamp_ns=robot.now, **{**moved, **changes})
+
+    robot.order("walk")
+    first = robot.plan()
+    assert robot.accept_plan(first)
+    robot.cycle()
+    out_of_reach = replace(robot.stance_now, feet=FEET + np.array([0.3, 0.0, 0.0]))
+    robot.stance_now = robot.stance_at_end = out_of_reach
+    robot.now += CYCLE
+    assert not robot.accept_plan(corrected(first, duration=first.duration + 0.1)), "it is another plan"
+    assert robot.accept_plan(corrected(first))
+    stale = corrected(first)
+    assert not robot.accept_plan(stale), "a repeated plan must be newer, too"
+    robot.now += CYCLE
+    shear = turned.copy()
+    shear[0, 1] += 0.5
+    assert not robot.accept_plan(corrected(first, T_world_odom=shear))
 
 
 def test_revision_with_more_clearance_is_refused_after_lift_off() -> None:
@@ -301,7 +330,7 @@ def test_unfinished_step_does_not_block_fault_end_or_sit_order(order: str) -> No
     robot.order(order)
     robot.verdict = Verdict()
     robot.cycle()
-    assert not robot.legs.resting
+    assert not robot.walk.resting
     robot.order("stand")
     robot.verdict = BROKEN
     assert robot.cycle() == (Act.FREEZE,)

@@ -208,14 +208,29 @@ def test_all_six_legs_survive_round_trip() -> None:
     assert reached.mean() > 0.9  # the others have their foot behind the coxa axis
 
 
-def test_batch_equals_single_rows() -> None:
+def test_batch_equals_single_robots() -> None:
     q = random_stances(12).reshape(3, 4, 6, 3)
     feet = kinematics.body_forward(PROFILE, q)
-    np.testing.assert_array_equal(kinematics.body_forward(PROFILE, q[1, 2]), feet[1, 2])
-    np.testing.assert_array_equal(kinematics.body_inverse(PROFILE, feet)[1, 2], kinematics.body_inverse(PROFILE, feet[1, 2]))
-    assert kinematics.leg_points(PROFILE, q).shape == (3, 4, 6, 4, 3)
+    again = kinematics.body_inverse(PROFILE, feet)
+    points = kinematics.leg_points(PROFILE, q)
+    for at in np.ndindex(3, 4):
+        np.testing.assert_allclose(kinematics.body_forward(PROFILE, q[at]), feet[at], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(kinematics.body_inverse(PROFILE, feet[at]), again[at], rtol=0, atol=1e-9)
+        foot, shank = map(np.array, kinematics.feet_and_shanks(PROFILE, q[at]))
+        np.testing.assert_allclose(foot, feet[at], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(foot + PROFILE.links.tibia * shank, points[at][:, 2], rtol=0, atol=1e-12)
+    assert points.shape == (3, 4, 6, 4, 3)
     assert kinematics.joint_torques(PROFILE, q, np.ones((6, 3))).shape == (3, 4, 6, 3)
     assert kinematics.within_limits(PROFILE, q).all()
+
+
+@given(st.lists(st.one_of(st.floats(-0.4, 0.4), st.sampled_from([np.nan, np.inf, -np.inf, 1e300])), min_size=18, max_size=18))
+def test_inverse_of_one_robot_is_nan_where_that_of_a_batch_is(values: list[float]) -> None:
+    feet = np.array(values).reshape(6, 3)
+    with np.errstate(invalid="ignore", over="ignore"):
+        batch = kinematics.body_inverse(PROFILE, feet[None])[0]
+    one = kinematics.body_inverse(PROFILE, feet)
+    np.testing.assert_allclose(one, batch, rtol=0, atol=1e-6)  # NaN equals NaN
 
 
 def test_arguments_are_not_modified() -> None:
