@@ -170,7 +170,9 @@ def draw_capsules(canvas: Canvas, T: Array, starts: Array, ends: Array, radii: A
     """Draw tapered capsules, the hulls of two spheres at (n, 3) [m] {world} with radii (n, 2) [m]."""
     sides = _pyramid(canvas)
     for side in range(5):
-        sides[side] /= np.sqrt(sides[side, 0] ** 2 + sides[side, 1] ** 2 + sides[side, 2] ** 2)
+        length = np.sqrt(sides[side, 0] ** 2 + sides[side, 1] ** 2 + sides[side, 2] ** 2)
+        for k in range(3):
+            sides[side, k] /= length
     for item in range(len(radii)):
         p, e = _in_camera(T, starts[item]), _in_camera(T, ends[item])
         seen = True

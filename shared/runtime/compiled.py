@@ -5,10 +5,11 @@ a service must not take the cores of other services. A compiled function must no
 use its constants, because the cache does not detect changes there.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 Group = TypeVar("Group", bound=tuple[Any, ...])
@@ -25,6 +26,14 @@ def written_into(function: F) -> F:
     Calls with many arrays would be slow.
     """
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function))
+
+
+def constants(values: Iterable[int]) -> tuple[int, ...]:
+    """Return integers for compiled functions.
+
+    Numba compiles a function once more for each Python integer that a call names, but only once for all of these.
+    """
+    return tuple(cast(int, np.int64(value)) for value in values)
 
 
 def as_plain(group: Group) -> Group:

@@ -302,9 +302,11 @@ def _measure(
             slope_y[at] = along_y * per_cell if 0 < j < columns - 1 else nowhere
             some += 1
         # 2. The variances.
-        random[m : m + some], systematic[m : m + some] = _variances(
+        random_of, systematic_of = _variances(
             x_of[:some], y_of[:some], z_of[:some], count_of[:some], spread_of[:some], slope_x[:some], slope_y[:some], S, noise
         )
+        for k in range(some):
+            random[m + k], systematic[m + k] = random_of[k], systematic_of[k]
         m += some
     ray = np.array([x_sum, y_sum, z_sum]) / max(m, 1)
     return cells[:m], z[:m], random[:m], systematic[:m], ray

@@ -118,5 +118,7 @@ def _weights(
     B = _product(_product(L, U * share), _product(U.T, inverse_L))
     directions = _product(U.T, inverse_L)
     for k in range(6):
-        directions[k] /= np.sqrt(np.sum(directions[k] ** 2))
+        length = np.sqrt(np.sum(directions[k] ** 2))
+        for j in range(6):
+            directions[k, j] /= length
     return B, directions, share == 0.0

@@ -18,15 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.runtime.compiled import compiled
+from sextant.shared.runtime.compiled import compiled, constants
 
-OK, REACH, UNDER, LEVEL, APART, FOOTHOLD, UNKNOWN, MARGIN, TORQUE, LEGS, GROUND, SWING = range(12)  # test results
+OK, REACH, UNDER, LEVEL, APART, FOOTHOLD, UNKNOWN, MARGIN, TORQUE, LEGS, GROUND, SWING = constants(range(12))  # test results
 TESTS = 12
 OPEN, PROVEN, REFUSED = 0, 1, 2  # proof state of the step to a configuration
-NODES, QUEUED, EXPANDED, BEST, GOAL, FURTHEST, PROVED = range(7)  # indices into `Tree.counts`
+NODES, QUEUED, EXPANDED, BEST, GOAL, FURTHEST, PROVED = constants(range(7))  # indices into `Tree.counts`
 COUNTS = 7
-ALL_STAND = -1  # instead of the swinging leg
-ROOT_FOOT = -1  # instead of a cell: the foot has not moved since the root
+(ALL_STAND,) = constants([-1])  # instead of the swinging leg
+(ROOT_FOOT,) = constants([-1])  # instead of a cell: the foot has not moved since the root
+_WITHOUT_TORQUES, _WITH_TORQUES = constants([0, 1])  # which tests of a stance
+(_FIRST_TURN,) = constants([0])
 _NEVER_SEEN = 127
 CROWDS, _CROWD = 512, 0.01  # number of progress bins, and [m] length of one
 _SAMPLES = 9  # number of samples of a swing
@@ -40,11 +42,12 @@ _FALLS = (0.82, 0.95, 0.40)  # the same for the steepest descent
 
 
 # Columns of `Legs.table`.
-_MOUNT, _YAW, _COXA, _FEMUR, _KNEE, _WAY, _LINKS, _FORE, _ROOM = 0, 3, 5, 10, 15, 17, 19, 22, 23
+_MOUNT, _YAW, _COXA, _FEMUR, _KNEE, _WAY, _LINKS, _FORE, _ROOM = constants([0, 3, 5, 10, 15, 17, 19, 22, 23])
 LEG_COLUMNS = 25
 
 
-WITH_RESERVE, WITHOUT_RESERVE = 0, 1  # leading index of `Legs.table`: limits with a reserve for the next steps, or as they are
+# Leading index of `Legs.table`: limits with a reserve for the next steps, or as they are.
+WITH_RESERVE, WITHOUT_RESERVE = constants([0, 1])
 
 
 class Legs(NamedTuple):
@@ -161,6 +164,15 @@ class Tree(NamedTuple):
     visits: NDArray[np.int64]  # (512,) expansions by progress bin
     random: NDArray[np.uint64]  # (1,)
     goal: Array  # (1,) [m] {strip} goal x of the body
+
+
+# Integers -------------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _wide(value: np.integer) -> int:
+    """Widen an integer, so that a function of it is compiled once."""
+    return int(np.int64(value))
 
 
 # Random numbers -------------------------------------------------------------------------------------------------------------
@@ -303,7 +315,7 @@ def _floor(feet: Array, swing: int, radius: float) -> float:
 
 @compiled
 def _stands(
-    table: Array, rules: Rules, codes: NDArray[np.int32], feet: Array, swing: int, bx: float, by: float, bz: float, loads: bool
+    table: Array, rules: Rules, codes: NDArray[np.int32], feet: Array, swing: int, bx: float, by: float, bz: float, torques: int
 ) -> tuple[int, int, float]:
     """Return the failed test or OK, its leg, and the greatest torque [N m].
 
@@ -331,14 +343,16 @@ def _stands(
             continue
         at_root = codes[leg] == ROOT_FOOT
         x, y = feet[leg, 0], feet[leg, 1]
-        test, reach, shank, _, _, _, _ = _leg(table, 1 if at_root else 0, leg, x - bx, y - by, feet[leg, 2] - bz)
+        test, reach, shank, _, _, _, _ = _leg(
+            table, WITHOUT_RESERVE if at_root else WITH_RESERVE, leg, x - bx, y - by, feet[leg, 2] - bz
+        )
         if test == OK and not at_root:
             test = _placed(table, leg, x - bx, y - by)
         if test != OK:
             return test, leg, 0.0
         force = rules.weight * max(1.0 / n + kx * (x - mx) + ky * (y - my), 0.0)
         torque = force * max(abs(reach), abs(shank))
-        if loads and torque > rules.torque:
+        if torques == _WITH_TORQUES and torque > rules.torque:
             return TORQUE, leg, torque
         worst = max(worst, torque)
     return OK, ALL_STAND, worst
@@ -349,7 +363,7 @@ def _landing(table: Array, rules: Rules, feet: Array, leg: int, body: Array, goa
     """Test a leg's touchdown at `goal` (3,); the other legs stand."""
     test = _placed(table, leg, goal[0] - body[0], goal[1] - body[1])
     if test == OK:
-        test, _, _, _, _, _, _ = _leg(table, 0, leg, goal[0] - body[0], goal[1] - body[1], goal[2] - body[2])
+        test, _, _, _, _, _, _ = _leg(table, WITH_RESERVE, leg, goal[0] - body[0], goal[1] - body[1], goal[2] - body[2])
     if test == OK:
         for k in range(6):
             if k != leg and (feet[k, 0] - goal[0]) ** 2 + (feet[k, 1] - goal[1]) ** 2 < rules.feet_apart**2:
@@ -452,7 +466,7 @@ def _pose(table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: 
 
     Return REACH if the joint limits exclude the pose.
     """
-    test, _, _, ux, uy, out, up = _leg(table, 1, leg, x - bx, y - by, z - bz)
+    test, _, _, ux, uy, out, up = _leg(table, WITHOUT_RESERVE, leg, x - bx, y - by, z - bz)
     coxa = table[0, leg, _LINKS]
     mx, my, mz = bx + table[0, leg, _MOUNT], by + table[0, leg, _MOUNT + 1], bz + table[0, leg, _MOUNT + 2]
     poses[leg, 0], poses[leg, 1], poses[leg, 2] = mx + coxa * ux, my + coxa * uy, mz
@@ -473,8 +487,8 @@ def _turns(table: Array, leg: int, x: float, y: float, z: float) -> bool:
     knee = min(max((reach * reach + pz * pz - f * f - t * t) / (2.0 * f * t), -1.0), 1.0)
     across, along = -t * math.sqrt(1.0 - knee * knee), f + t * knee
     c, s = table[0, leg, _YAW], table[0, leg, _YAW + 1]
-    turned = _between(px * c + py * s, py * c - px * s, table, 0, leg, _COXA)
-    return turned and _between(reach * along + pz * across, pz * along - reach * across, table, 0, leg, _FEMUR)
+    turned = _between(px * c + py * s, py * c - px * s, table, WITH_RESERVE, leg, _COXA)
+    return turned and _between(reach * along + pz * across, pz * along - reach * across, table, WITH_RESERVE, leg, _FEMUR)
 
 
 @compiled
@@ -738,9 +752,10 @@ def _lifted(
     test = SWING
     lift = rules.least_lift
     while lift <= rules.most_lift + 1e-9:
-        test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, False)
-        if test == OK:
-            test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, True)
+        for smooth in (False, True):
+            test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, smooth)
+            if test != OK:
+                break
         if test == OK:
             return OK, lift
         lift += rules.lift_step
@@ -750,12 +765,12 @@ def _lifted(
 @compiled
 def _proof(legs: Legs, rules: Rules, ground: Ground, tree: Tree, node: int) -> int:
     """Prove the step to a configuration, store its clearance, return the test result."""
-    parent, leg = tree.parent[node], tree.leg[node]
+    parent, leg = _wide(tree.parent[node]), _wide(tree.leg[node])
     feet, goal = np.empty((6, 3)), np.zeros(3)
     for k in range(6):
-        feet[k, 0], feet[k, 1], feet[k, 2] = _foot(tree, ground, rules, tree.foot[parent, k], k)
+        feet[k, 0], feet[k, 1], feet[k, 2] = _foot(tree, ground, rules, _wide(tree.foot[parent, k]), k)
     if leg != ALL_STAND:
-        goal[0], goal[1], goal[2] = _foot(tree, ground, rules, tree.foot[node, leg], leg)
+        goal[0], goal[1], goal[2] = _foot(tree, ground, rules, _wide(tree.foot[node, leg]), leg)
     b0, b1 = tree.body[parent], tree.body[node]
     test, tree.lift[node] = _proven(legs.table, legs.swing, rules, ground, feet, goal, leg, b0, b1)
     return test
@@ -789,13 +804,13 @@ def judge(
     table, codes = legs.table, np.zeros(6, np.int32)
     verdict[:], lifts[:] = OK, 0.0
     begin = _support(rules, feet, leg, b0[0], b0[1])
-    strained, _, _ = _stands(table, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
+    strained, _, _ = _stands(table, rules, codes, feet, leg, b0[0], b0[1], b0[2], _WITH_TORQUES)
     for m in range(len(bodies)):
         b1 = bodies[m]
-        test, _, _ = _stands(table, rules, codes, feet, leg, b1[0], b1[1], b1[2], True)
+        test, _, _ = _stands(table, rules, codes, feet, leg, b1[0], b1[1], b1[2], _WITH_TORQUES)
         if test == OK:
             mid = 0.5 * (b0 + b1)
-            test, _, _ = _stands(table, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
+            test, _, _ = _stands(table, rules, codes, feet, leg, mid[0], mid[1], mid[2], _WITHOUT_TORQUES)
         if begin < rules.margin or (strained != TORQUE and _support(rules, feet, leg, b1[0], b1[1]) < rules.margin):
             test = MARGIN
         elif strained == TORQUE:
@@ -853,7 +868,7 @@ def _push(tree: Tree, key: float, node: int, turn: int) -> bool:
 @compiled
 def _pop(tree: Tree) -> tuple[float, int, int]:
     """Remove and return the configuration with the lowest key, and its turn."""
-    first = tree.key[0], tree.queued[0], tree.turn[0]
+    first = tree.key[0], _wide(tree.queued[0]), _wide(tree.turn[0])
     n = tree.counts[QUEUED] - 1
     tree.counts[QUEUED] = n
     key, node, turn = tree.key[n], tree.queued[n], tree.turn[n]
@@ -899,7 +914,7 @@ def _known(
     mask = np.int64(len(table) - 1)
     at = np.int64(h & np.uint64(mask))
     while table[at] >= 0:
-        other = table[at]
+        other = _wide(table[at])
         same = math.floor(body[other, 0] / edge + 0.5) == ix and math.floor(body[other, 1] / edge + 0.5) == iy
         for leg in range(6):
             same = same and _square(foot, node, leg, ny, foot_edge) == _square(foot, other, leg, ny, foot_edge)
@@ -973,8 +988,10 @@ def _add(
     node = tree.counts[NODES]
     if node >= len(tree.parent):
         return False
-    tree.body[node] = body
-    tree.foot[node] = tree.foot[parent]
+    for k in range(3):
+        tree.body[node, k] = body[k]
+    for k in range(6):
+        tree.foot[node, k] = tree.foot[parent, k]
     if leg >= 0:
         tree.foot[node, leg] = code
     ny = ground.evaluation.shape[1]
@@ -985,7 +1002,7 @@ def _add(
     tree.state[node], tree.lift[node], tree.margin[node] = OPEN, 0.0, margin
     cost = tree.cost[parent] + 1.0 + price
     tree.cost[node] = cost
-    return _push(tree, _key(tree, legs, rules, node, feet, 0), node, 0)
+    return _push(tree, _key(tree, legs, rules, node, feet, _FIRST_TURN), node, _FIRST_TURN)
 
 
 @compiled
@@ -1045,7 +1062,7 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
     if begin < rules.margin:
         _fail(tree, far, MARGIN, leg)
         return True
-    test, which, strained = _stands(legs.table, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
+    test, which, strained = _stands(legs.table, rules, codes, feet, leg, b0[0], b0[1], b0[2], _WITH_TORQUES)
     if test == TORQUE:
         _fail(tree, far, test, which)
         return True
@@ -1072,10 +1089,10 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
         if margin < rules.margin:
             _fail(tree, far, MARGIN, leg)
             continue
-        test, which, torque = _stands(legs.table, rules, codes, feet, leg, body[0], body[1], body[2], True)
+        test, which, torque = _stands(legs.table, rules, codes, feet, leg, body[0], body[1], body[2], _WITH_TORQUES)
         if test == OK:
             mid = 0.5 * (b0 + body)
-            test, which, _ = _stands(legs.table, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
+            test, which, _ = _stands(legs.table, rules, codes, feet, leg, mid[0], mid[1], mid[2], _WITHOUT_TORQUES)
         if test != OK:
             _fail(tree, far, test, which)
             continue
@@ -1148,7 +1165,7 @@ def _footholds(
         unseen = F[i, j] == _NEVER_SEEN  # later failures of this sample may be due to unseen ground
         if unseen and ground.nearest[i, j] >= 0:
             i, j = ground.nearest[i, j] // ny, ground.nearest[i, j] % ny
-        code = ground.meant[i, j]
+        code = _wide(ground.meant[i, j])
         if code < 0:
             a, b = _resolved(F, i, j, rules.strong, rules.wide)
             code = a * ny + b
@@ -1170,7 +1187,8 @@ def _footholds(
             if unseen:
                 _fail(tree, far, UNKNOWN, leg)
             continue
-        after[:] = feet
+        for k in range(6):
+            after[k, 0], after[k, 1], after[k, 2] = feet[k, 0], feet[k, 1], feet[k, 2]
         after[leg, 0], after[leg, 1], after[leg, 2] = x, y, z
         test = _landing(legs.table, rules, feet, leg, body, after[leg])
         if test != OK:
@@ -1197,7 +1215,12 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) 
             tree.counts[PROVED] += 1
             if test != OK:
                 tree.state[node] = REFUSED
-                _fail(tree, tree.body[tree.parent[node], 0] > tree.body[tree.counts[FURTHEST], 0] - 0.02, test, tree.leg[node])
+                _fail(
+                    tree,
+                    tree.body[tree.parent[node], 0] > tree.body[tree.counts[FURTHEST], 0] - 0.02,
+                    test,
+                    _wide(tree.leg[node]),
+                )
                 done += 1
                 tree.counts[EXPANDED] += 1
                 continue
@@ -1211,7 +1234,7 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) 
                 tree.fails[1] = 0
         far = tree.body[node, 0] > tree.body[tree.counts[FURTHEST], 0] - 0.02
         for k in range(6):
-            work[k, 0], work[k, 1], work[k, 2] = _foot(tree, ground, rules, tree.foot[node, k], k)
+            work[k, 0], work[k, 1], work[k, 2] = _foot(tree, ground, rules, _wide(tree.foot[node, k]), k)
         bx = tree.body[node, 0]
         leg = _next_leg(legs.rest, legs.stroke, legs.order, work, bx, _swung_last(tree, node), turn % 7)
         tree.visits[_crowd(tree, legs.rest, work, bx)] += 1
@@ -1246,4 +1269,4 @@ def landings(legs: Legs, leg: int, places: Array, found: NDArray[np.int64]) -> N
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         found[n] = _placed(legs.table, leg, x, y)
         if found[n] == OK:
-            found[n], _, _, _, _, _, _ = _leg(legs.table, 0, leg, x, y, z)
+            found[n], _, _, _, _, _, _ = _leg(legs.table, WITH_RESERVE, leg, x, y, z)
