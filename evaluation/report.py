@@ -119,6 +119,20 @@ class Passage:
 
 
 @dataclass(frozen=True, slots=True)
+class CaptureToPlan:
+    """Time from a depth image to the plan that the legs execute, for images whose map reached the legs.
+
+    It begins with the stamp of the image. It ends with the actuator's cycle that first executes a plan based on its map, or on
+    a newer one. A plan that was compared with a map and left unchanged is based on it.
+    """
+
+    p50: float = _NAN  # [ms] median
+    p90: float = _NAN  # [ms] 90th percentile
+    p99: float = _NAN  # [ms] 99th percentile
+    images: int = 0  # [1] number of such images
+
+
+@dataclass(frozen=True, slots=True)
 class StageTime:
     """Duration of a stage of a service's work."""
 
@@ -171,6 +185,7 @@ class Report:
     map_error_m: MapError = MapError()  # of the map around the robot
     course_map_m: CourseMap = CourseMap()  # of all maps of the run together
     passage: Passage = Passage()  # how a gap was crossed
+    capture_to_plan_ms: CaptureToPlan = CaptureToPlan()  # time from a depth image to the plan in execution
     real_time_factor: float = _NAN  # [1] simulated over elapsed time; timing, so not reproducible
     stages_ms: dict[str, StageTime] = field(default_factory=dict)  # duration of each `service.stage`; timing, too
     too_slow: str = ""  # why the computer was too slow, as text; empty if it was not

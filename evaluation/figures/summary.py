@@ -16,7 +16,7 @@ from sextant.evaluation.figures.layers_picture import UNSEEN, ground_colors
 from sextant.evaluation.figures.relief import shaded
 from sextant.evaluation.figures.walk_picture import LEG_COLORS
 from sextant.evaluation.metrics.map_metrics import Mosaic
-from sextant.evaluation.report import ARRIVED, Report
+from sextant.evaluation.report import ARRIVED, CaptureToPlan, Report
 from sextant.evaluation.scoring.failure_analysis import ENDED, MISSED, FailureMoment, decisive_moment, missed_by, refusal, signs
 from sextant.evaluation.trace.status_log import StatusEvent
 from sextant.evaluation.trace.touchdowns import Touchdowns
@@ -587,8 +587,13 @@ def _numbers(r: Report) -> list[tuple[str, str]]:
         ("pose error rms · final", f"{_mm(r.pose_error_m.rms)} · {_mm(r.pose_error_m.final)} mm"),
         ("map error rmse · bias", f"{_mm(r.map_error_m.rmse)} · {_mm(r.map_error_m.bias, sign='+')} mm"),
         ("ground ahead known", f"{_n(100 * r.map_error_m.coverage, 0)} %"),
+        ("image to plan p50 · p90 · p99", _latency(r.capture_to_plan_ms)),
         ("real-time factor", _n(r.real_time_factor)),
     ]
+
+
+def _latency(t: CaptureToPlan) -> str:
+    return f"{_n(t.p50, 0)} · {_n(t.p90, 0)} · {_n(t.p99, 0)} ms"
 
 
 def _n(value: float, digits: int = 2) -> str:

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.evaluation.metrics.walk_metrics import angle_between, rubbing, slip_per_step
-from sextant.evaluation.report import HeightError, PoseError, Report, Slip, Spread, Torque
+from sextant.evaluation.report import CaptureToPlan, HeightError, PoseError, Report, Slip, Spread, Torque
 from sextant.evaluation.trace.course import Course
 from sextant.evaluation.trace.recorded_walk import Walk
+from sextant.evaluation.trace.run_log import RunLog
 from sextant.evaluation.trace.trace import Trace
 from sextant.shared.geometry import Array
 
@@ -42,6 +43,15 @@ def pose_error(trace: Trace) -> PoseError:
     """
     error = trace.pose_error[np.isfinite(trace.pose_error)]
     return PoseError(float(np.sqrt(np.mean(error**2))), float(error[-1])) if len(error) else PoseError()
+
+
+def capture_to_plan(heard: RunLog) -> CaptureToPlan:
+    """Return the times from depth images to the plans in execution."""
+    times = heard.capture_to_plan_ns
+    if not times:
+        return CaptureToPlan()
+    p50, p90, p99 = (1e-6 * np.percentile(times, [50, 90, 99])).tolist()
+    return CaptureToPlan(p50, p90, p99, len(times))
 
 
 def _torque(torque: Array) -> Torque:

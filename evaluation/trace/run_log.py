@@ -41,9 +41,12 @@ class RunLog:
         self.passage_plans: list[tuple[PassagePlan, PassageMap | None]] = []  # with the newest map of the strip at that time
         self.routes: list[Array] = []  # (k, 2) [m] {world} new routes to a goal
         self.first_step_ns: int | None = None
+        self.capture_to_plan_ns: list[int] = []  # [ns] from a depth image to the first cycle of a plan that is based on it
         self.refusal = ""  # the planner's reason for not going on, once it has lasted `_REFUSED_NS`
         self._newest_step = self._steps_before = 0  # newest step of the actuator, and the steps before its restart
         self._blocked_since_ns: int | None = None
+        self._map_ns: dict[int, int] = {}  # stamp of a plan -> stamp of its map
+        self._executed_map_ns = -1  # the newest one of the executed plans
 
     @property
     def begin_ns(self) -> int:
@@ -59,7 +62,8 @@ class RunLog:
         """Process one message of truth and the service messages since the last one."""
         self.truth.append(truth)
         self.poses += inbox.drain(topics.BODY_POSE)
-        for state in inbox.drain(topics.ACTUATOR_STATE):
+        states = inbox.drain(topics.ACTUATOR_STATE)
+        for state in states:
             if state.step < self._newest_step:
                 # A restarted actuator counts from zero.
                 self._steps_before = min(self._steps_before + max(self._newest_step, 0), _MOST_STEPS)
@@ -68,10 +72,16 @@ class RunLog:
             if self.first_step_ns is None and state.mode is Mode.WALK:
                 self.first_step_ns = state.stamp_ns
         for plan in inbox.drain(topics.STEP_PLAN):
+            self._map_ns[plan.stamp_ns] = plan.map_ns
             plan = self._counted_on(plan)
             known = self.plans.get(plan.step)
             if known is None or plan.revision >= known.revision:
                 self.plans[plan.step] = plan
+        for state in states:
+            map_ns = self._map_ns.get(state.plan_ns, -1)
+            if map_ns > self._executed_map_ns:
+                self._executed_map_ns = map_ns
+                self.capture_to_plan_ns.append(state.stamp_ns - map_ns)
         self.passage_plans += [(plan, inbox.latest(topics.PASSAGE)) for plan in inbox.drain(topics.PASSAGE_PLAN)]
         for status in inbox.drain(topics.PLANNER_STATUS):
             self._note(status)

@@ -93,7 +93,7 @@ class Planner:
             self._goals.pause()
         step = decision.step
         pause_s = decision.retry_s if step is None else self._settings.revision.interval_s
-        if pause_s > 0.0:
+        if pause_s > 0.0 and (step is None or step.number != state.step):
             self._due_ns = state.stamp_ns + round(pause_s * 1e9)
         if step is not None:
             self._moved_footholds = step.planned.moved

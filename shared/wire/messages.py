@@ -391,6 +391,8 @@ class StepPlan(Message):
     body_goal: Pose  # {world} body at the end of the step
     duration: float  # [s]
     stop: bool  # True: come to rest at the end of the step
+    # [ns] stamp of the newest terrain map that the plan agrees with, thus of a depth image; -1 for a plan without that map
+    map_ns: int = -1
 
 
 @dataclass(frozen=True, slots=True)

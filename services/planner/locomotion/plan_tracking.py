@@ -18,6 +18,7 @@ UNKNOWN_STEP = "unknown step in progress; waiting for it to finish"  # reason if
 _KEPT = 40  # number of remembered plans besides the newest
 _RENEW_NS = 35_000_000  # [ns] after which the running step is sent again: without a plan the actuator goes on for 180 ms
 _MEASURED_NS = 300_000_000  # [ns] of rest after which a foot that stopped on ground counts as measured
+_REVISION_NS = 100_000_000  # [ns] from a revision until the actuator's state names it; after that it counts as lost
 _UNANSWERED_NS = 300_000_000  # [ns] without an answer from resting legs, after which a plan counts as late
 
 
@@ -30,6 +31,7 @@ class NumberedStep:
     variant: StepVariant  # way of taking the step
     T_world_odom: Array  # (4, 4) estimate under which the step was planned
     stop: bool = False  # whether the legs rest after the step
+    map_ns: int = -1  # [ns] stamp of the newest terrain map that the step agrees with; -1 without one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +59,7 @@ class PlanTracker:
         self._step, self._begun_ns = -1, 0  # the running step, or the last one, and when it was first received
         self._moved_ns = 0  # [ns] when the legs last moved
         self._renew_ns = 0
+        self._revision: SentPlan | None = None  # newest one of the running step, which the actuator may still execute
 
     def update(self, state: ActuatorState) -> bool:
         """Note which plan is executed and which was refused.
@@ -71,6 +74,8 @@ class PlanTracker:
         refused = next((sent for sent in self._sent if sent.plan.stamp_ns == state.refused_plan_ns), None)
         if refused is not None:
             self._sent.remove(refused)
+            if refused.plan.step == state.step:
+                self._revision, self._renew_ns = None, 0  # continue with the accepted plan at once
             waiting = state.phase < 1.0 and any(sent.plan.step == refused.plan.step for sent in self._sent)
             if refused.plan.step == state.step + 1 and not waiting:
                 self.refusals.add(refused.step.variant, state.plan_refusal)
@@ -124,6 +129,11 @@ class PlanTracker:
 
     def send(self, state: ActuatorState, step: NumberedStep) -> StepPlan:
         """Return the plan of a step, as its next revision, and track it."""
+        plan = self._send(state, step)
+        self._revision = self._sent[-1] if step.number == state.step else None
+        return plan
+
+    def _send(self, state: ActuatorState, step: NumberedStep) -> StepPlan:
         revision = 1 + max((sent.plan.revision for sent in self._sent if sent.plan.step == step.number), default=0)
         planned = step.planned
         plan = StepPlan(
@@ -138,6 +148,7 @@ class PlanTracker:
             body_goal=planned.body_goal,
             duration=planned.duration,
             stop=step.stop,
+            map_ns=step.map_ns,
         )
         self._sent = [*self._sent[-_KEPT:], SentPlan(plan, step)]
         self._renew_ns = state.stamp_ns + _RENEW_NS
@@ -151,6 +162,15 @@ class PlanTracker:
         running = self.running
         if running is None or state.mode is not Mode.WALK or state.phase >= 1.0 or state.stamp_ns < self._renew_ns:
             return None
+        revision = self._revision
+        if revision is not None and _is_on_its_way(revision.plan, running.plan, state.stamp_ns):
+            running = revision  # the running plan would undo it
         T_world_odom = running.plan.T_world_odom if pose is None else pose.T_world_odom
         planned = running.planned_in(T_world_odom)
-        return self.send(state, replace(running.step, planned=planned, T_world_odom=T_world_odom))
+        return self._send(state, replace(running.step, planned=planned, T_world_odom=T_world_odom))
+
+
+def _is_on_its_way(revision: StepPlan, running: StepPlan, now_ns: int) -> bool:
+    """Return whether the actuator may still execute a revision of the running plan."""
+    newer = revision.step == running.step and revision.revision > running.revision
+    return newer and now_ns - revision.stamp_ns < _REVISION_NS

@@ -46,7 +46,7 @@ class StepSelector:
         )
         self._by_touch = BlindStepPlanner(profile, settings)
         self._asked: VelocityCommand | None = None  # the command for which the refusals were collected
-        self._retargeted: tuple[PlannedStep, TerrainMap] | None = None  # step and map of the last retargeting
+        self._retargeted: tuple[int, TerrainMap] | None = None  # number of the step and map of the last retargeting
         self._start_place: Array | None = None  # (2,) [m] {world} where the robot stood before its first step
 
     def validation_error(self, command: VelocityCommand) -> str:
@@ -110,7 +110,7 @@ class StepSelector:
         with self._stages("plan step"):
             found, way = self._by_touch.choose(starts, terrain, refusals.of(0))
         if isinstance(found, PlannedStep):
-            step = self._next(robot, found, (0, way), stop=True)
+            step = self._next(robot, found, (0, way), None, stop=True)
             return Decision("stepping", "by touch: the feet search for the ground", step=step)
         if refusals.excludes_ways:
             refusals.give_up()
@@ -118,18 +118,21 @@ class StepSelector:
         return Decision("blocked", f"by touch: {found.reason}", found.leg, retry_s=self._settings.revision.interval_s)
 
     def retarget(self, robot: RobotEstimate, terrain: Terrain) -> NumberedStep | None:
-        """Return a revision of the running step if the map moves a touchdown enough."""
+        """Return the running step by a new map, or None if the map is not new.
+
+        Its touchdowns are unchanged unless the map moves one enough.
+        """
         running = self._plans.running
         if running is None:
             return None
-        before, self._retargeted = self._retargeted, (running.step.planned, terrain.map)
-        if before is not None and before[0] is running.step.planned and before[1] is terrain.map:
-            return None  # nothing has changed since then
+        before, self._retargeted = self._retargeted, (running.step.number, terrain.map)
+        if before is not None and before[0] == running.step.number and before[1] is terrain.map:
+            return None
         planned = running.planned_in(robot.T_world_odom)
         found = self._by_sight.retarget(planned, terrain)
         if np.abs(found.touchdown - planned.touchdown).max() < self._settings.revision.retarget_from_m:
-            return None
-        return replace(running.step, planned=found, T_world_odom=robot.T_world_odom)
+            found = planned
+        return replace(running.step, planned=found, T_world_odom=robot.T_world_odom, map_ns=self._map_ns(terrain))
 
     def _select_for(
         self, command: VelocityCommand, number: int, robot: RobotEstimate, terrain: Terrain, steered: bool
@@ -151,7 +154,7 @@ class StepSelector:
             reason = found.reason + (self._advice_to_turn(found, command) if steered else "")
             retry_s = self._settings.revision.interval_s  # all shares take the most time
             return Decision("blocked", reason, found.leg, retry_s=retry_s)
-        step = self._next(robot, found, (number, way))
+        step = self._next(robot, found, (number, way), terrain)
         if refusals.given_up:  # a trial step: the robot stays blocked until the actuator accepts it
             return Decision("blocked", refusals.words(), step=step)
         return Decision("stepping", self._describe(found, command), step=step)
@@ -187,7 +190,7 @@ class StepSelector:
         if isinstance(found, NoStep):
             return None
         reason = "walking by touch over unseen ground, until the feet reach seen ground"
-        return Decision("stepping", reason, step=self._next(robot, found, (number, way), stop=True))
+        return Decision("stepping", reason, step=self._next(robot, found, (number, way), terrain, stop=True))
 
     def _gather(self, command: VelocityCommand, robot: RobotEstimate, terrain: Terrain) -> NumberedStep | None:
         """Return a step on the spot for a blocked robot.
@@ -198,7 +201,7 @@ class StepSelector:
             return None
         with self._stages("gather feet"):
             found, way = self._by_sight.gather(self._starts(command, robot), terrain, self._plans.refusals.of(0))
-        return None if isinstance(found, NoStep) else self._next(robot, found, (0, way))
+        return None if isinstance(found, NoStep) else self._next(robot, found, (0, way), terrain)
 
     def _starts(self, command: VelocityCommand, robot: RobotEstimate) -> list[StepStart]:
         """Return the possible starts of the next step, most due legs first; [] if unknown."""
@@ -211,8 +214,14 @@ class StepSelector:
         order = sorted(order, key=lambda swing: bool((swing & self._plans.reversed_legs).any()))  # other groups first
         return [StepStart(stance.body, stance.feet, swing, command) for swing in order]
 
-    def _next(self, robot: RobotEstimate, planned: PlannedStep, variant: StepVariant, stop: bool = False) -> NumberedStep:
-        return NumberedStep(planned, robot.state.step + 1, variant, robot.T_world_odom, stop)
+    def _next(
+        self, robot: RobotEstimate, planned: PlannedStep, variant: StepVariant, terrain: Terrain | None, stop: bool = False
+    ) -> NumberedStep:
+        return NumberedStep(planned, robot.state.step + 1, variant, robot.T_world_odom, stop, self._map_ns(terrain))
+
+    def _map_ns(self, terrain: Terrain | None) -> int:
+        """Return the stamp [ns] of a map, or -1 where none is used."""
+        return -1 if terrain is None or self._settings.blind else terrain.map.stamp_ns
 
     def _describe(self, planned: PlannedStep, command: VelocityCommand) -> str:
         """Return what differs from the commanded step, as text."""

@@ -291,7 +291,8 @@ def test_newer_map_retargets_touchdowns_of_running_step(make_terrain: Maker) -> 
     leg = int(np.flatnonzero(first.swing)[0])
     bad = first.touchdown[leg, :2]
     rig.terrain = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0)).map
-    (revised,) = rig.plans(3, phase=0.2)
+    (revised,) = rig.plans(phase=0.2)
+    rig.begin(revised)
     assert (revised.step, revised.revision) == (first.step, first.revision + 1)
     np.testing.assert_array_equal(revised.swing, first.swing)
     np.testing.assert_array_equal(revised.body_goal, first.body_goal)
@@ -311,7 +312,7 @@ def test_revision_after_pose_correction_matches_actuator_goal(make_terrain: Make
     leg = int(np.flatnonzero(first.swing)[0])
     bad = apply(T, first.touchdown)[leg, :2]
     rig.terrain = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0)).map
-    (revised,) = rig.plans(3, phase=0.2)
+    (revised,) = rig.plans(phase=0.2)
     # The actuator applies the correction to the body's goal and leaves standing feet where they are.
     np.testing.assert_allclose(revised.body_goal, T @ first.body_goal, atol=1e-9)
     standing_still = ~revised.swing

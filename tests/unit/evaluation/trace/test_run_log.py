@@ -7,7 +7,7 @@ from sextant.evaluation.trace.run_log import RunLog
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox, Stages
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode
+from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, StepPlan
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")
@@ -36,3 +36,18 @@ def test_extreme_step_numbers_do_not_overflow_step_count(claimed: int) -> None:
     steps = counted_steps(3, claimed, 4, claimed, LARGEST, 5, 6)
     assert np.array(steps, dtype=np.int64).shape == (7,)
     assert steps[-1] == steps[-2] + 1, "later messages are counted separately"
+
+
+def test_time_from_image_to_executed_plan_counts_each_map_once() -> None:
+    flags, joints = np.zeros(6, dtype=bool), np.zeros((6, 3))
+    truth = GroundTruth(0, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name)
+    heard, inbox = RunLog(), Inbox(topics.TOPICS, Stages())
+    maps = {100: 60, 140: 60, 200: 130, 240: -1, 280: 70}  # stamps of plans and of their maps
+    for plan_ns, map_ns in maps.items():
+        plan = StepPlan(plan_ns, 0, 1, 0, np.eye(4), flags, joints, np.zeros(6), np.eye(4), 1.0, False, map_ns)
+        inbox.receive(topics.STEP_PLAN, codec.encode(plan), 0)
+    for stamp_ns, plan_ns in ((90, -1), (120, 100), (160, 140), (220, 200), (260, 240), (300, 280), (320, 999)):
+        state = actuator_state(PROFILE, stamp_ns=stamp_ns, plan_ns=plan_ns)
+        inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), 0)
+        heard.take_in(truth, inbox)
+    assert heard.capture_to_plan_ns == [60, 90], "renewals, older maps, and plans without a map do not count"

@@ -169,3 +169,35 @@ def test_running_step_is_renewed_in_newest_world(plans: PlanTracker) -> None:
     np.testing.assert_allclose(apply(inverse(renewed.T_world_odom), renewed.touchdown), plan.touchdown, atol=1e-12)
     assert plans.renew(during(plan, 60), None) is None
     assert plans.renew(during(plan, 200, phase=1.0), None) is None, "it is over"
+
+
+def moved_step(x_m: float) -> NumberedStep:
+    """Return the step of `numbered` with touchdowns further ahead, by a newer map."""
+    step = numbered()
+    planned = replace(step.planned, touchdown=step.planned.touchdown + np.where(TRIPOD[:, None], [x_m, 0.0, 0.0], 0.0))
+    return replace(step, planned=planned, map_ns=7)
+
+
+def test_revision_on_its_way_is_renewed_in_place_of_the_running_plan(plans: PlanTracker) -> None:
+    first = plans.send(state(), numbered())
+    plans.update(during(first, 20))
+    revision = plans.send(during(first, 40), moved_step(0.01))
+    renewed = plans.renew(during(first, 80), None)
+    assert renewed is not None
+    assert renewed.map_ns == revision.map_ns == 7
+    np.testing.assert_allclose(renewed.touchdown, revision.touchdown)
+    lost = plans.renew(during(first, 160), None)
+    assert lost is not None
+    assert lost.map_ns == -1
+    np.testing.assert_allclose(lost.touchdown, first.touchdown, err_msg="without an answer the revision counts as lost")
+
+
+def test_refused_revision_is_followed_by_the_running_plan_at_once(plans: PlanTracker) -> None:
+    first = plans.send(state(), numbered())
+    plans.update(during(first, 20))
+    revision = plans.send(during(first, 40), moved_step(0.01))
+    refusal = during(first, 60, plan_refusal="too fast", refused_plan_ns=revision.stamp_ns)
+    plans.update(refusal)
+    renewed = plans.renew(refusal, None)
+    assert renewed is not None
+    np.testing.assert_allclose(renewed.touchdown, first.touchdown)

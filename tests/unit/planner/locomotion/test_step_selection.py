@@ -94,8 +94,12 @@ def test_running_step_is_retargeted_once_per_map(
     monkeypatch.setattr(StepPlanner, "retarget", lambda *args: (searches.append(args), retarget(*args))[1])
     for number in (1, 2):
         terrain = make_terrain()
-        for _ in range(5):
-            assert steps.retarget(running, terrain) is None, "all places are equal"
+        terrain = replace(terrain, map=replace(terrain.map, stamp_ns=number))
+        confirmed = steps.retarget(running, terrain)
+        assert confirmed is not None
+        assert confirmed.map_ns == number
+        np.testing.assert_array_equal(confirmed.planned.touchdown, plan.touchdown, "all places are equal")
+        assert all(steps.retarget(running, terrain) is None for _ in range(4))
         assert len(searches) == number
 
 
