@@ -14,19 +14,19 @@ class CycleClock:
         Args:
             now_ns: [ns] clock of the servo port.
             suspended_ns: [ns] that this machine has spent suspended since it booted.
-            period_ns: [ns] nominal duration of a cycle.
+            period_ns: [ns] of a cycle.
         """
         self.now_ns = now_ns
         self.began_ns = -1  # [ns] stamp of the present cycle
-        self._period_ns = period_ns
+        self.period_ns = period_ns  # [ns] of a cycle
         self._read_suspended_ns = suspended_ns
         self._suspended_ns = suspended_ns()
 
     def begin(self, stamp_ns: int) -> tuple[float, float]:
         """Begin a cycle; return the time [s] since the last one, and the share of it for leg motion."""
-        elapsed = self._period_ns if self.began_ns < 0 else stamp_ns - self.began_ns
+        elapsed = self.period_ns if self.began_ns < 0 else stamp_ns - self.began_ns
         self.began_ns = stamp_ns
-        return elapsed * 1e-9, min(elapsed, 2 * self._period_ns) * 1e-9
+        return elapsed * 1e-9, min(elapsed, 2 * self.period_ns) * 1e-9
 
     def suspended_s(self) -> float:
         """Return the time [s] suspended since the last call; 0 for a short time."""

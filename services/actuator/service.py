@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 
 from sextant.services.actuator.config import Settings
+from sextant.services.actuator.control_rate import ControlRate
 from sextant.services.actuator.cycle_clock import CycleClock
 from sextant.services.actuator.estimation.state_estimator import StateEstimator
 from sextant.services.actuator.estimation.touchdown_detector import FEMUR, FemurReading
@@ -37,6 +38,7 @@ class Actuator:
     """Control loop that owns the servos.
 
     Each cycle reads the servos, estimates the body pose, passes plans through the guard, advances the step and writes goals.
+    Its rate falls while the computer is too slow, and the robot then walks slower.
     """
 
     name = "actuator"
@@ -70,7 +72,8 @@ class Actuator:
             BusSetupError: Servos are missing or wrong; the message names all of them.
             BusDisconnectedError: The port cannot be opened.
         """
-        self.trigger = Every.hz(settings.rate_hz)
+        self._rate = ControlRate(settings.rate_hz)
+        self.trigger = Every(self._rate.period_ns)
         self.max_age_s = {BEAT: GAP_S, topics.STEP_PLAN.key: settings.plan_age_s}
         self.stages = Stages()
         self._profile = profile
@@ -89,6 +92,7 @@ class Actuator:
         self._estimator = StateEstimator(profile, settings.contact, settings.touchdown)
         self._motion = MotionController(profile, settings, self._joints.goals)
         self._report = StateReport(profile.foot.radius)
+        self._follow_rate()
         self._bus_was_away = False  # whether the servo states were unknown in the last cycle
         self._take_over(torque, self._joints.read_loads())
         if self._motion.executor.gentle:
@@ -110,6 +114,7 @@ class Actuator:
         """Run one control cycle."""
         now_ns, guard, estimator, motion, joints = tick.stamp_ns, self._guard, self._estimator, self._motion, self._joints
         elapsed, dt = self._clock.begin(now_ns)
+        began_ns = self._clock.now_ns()
         suspended_s = self._clock.suspended_s()
         # 1. Measure joints, contact and body pose.
         with self.stages("bus read"):
@@ -135,10 +140,19 @@ class Actuator:
         # 5. React to faults, and report.
         self._check_health(now_ns, elapsed)
         self._authorization.keep(guard.walk_order(now_ns))
+        if self._rate.note(elapsed, (self._clock.now_ns() - began_ns) * 1e-9):
+            self._follow_rate()
         yield self._report.odometry(read_ns, estimator, motion, joints)
         if self._report.is_due(guard, motion):
-            pace, warnings = float(self._verdict.pace), self._warnings(now_ns)
+            pace, warnings = float(self._verdict.pace * self._rate.share), self._warnings(now_ns)
             yield self._report.state(read_ns, guard, estimator, motion, joints, pace, warnings)
+
+    def _follow_rate(self) -> None:
+        """Run by the present rate of the control cycle."""
+        period_ns = self._rate.period_ns
+        self.trigger = Every(period_ns)
+        self._clock.period_ns = self._estimator.touchdown.period_ns = period_ns
+        self._health.period_s = period_ns * 1e-9
 
     # ---------------------------------------------------------------------------------------------------- measurements
 
@@ -336,6 +350,7 @@ class Actuator:
             self._off.stuck,
             self._off.unseen,
             self._authorization.trouble,
+            self._rate.warning,
             self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # in other modes this is the reason
             *self._verdict.warnings,
         )

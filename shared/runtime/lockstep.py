@@ -110,7 +110,7 @@ class Lockstep:
             self._start(name)
             pace = self._workers[name].service.trigger
             if isinstance(pace, Every):
-                self._keep_beating(name, pace.period_ns, order)
+                self._keep_beating(name, order)
         for outage in outages:
             self.lose(outage)
 
@@ -192,13 +192,15 @@ class Lockstep:
         self._sequence += 1
         heapq.heappush(self._events, (at_ns, rank, self._sequence, act))
 
-    def _keep_beating(self, name: str, period_ns: int, order: int) -> None:
+    def _keep_beating(self, name: str, order: int) -> None:
         busy_until = self._busy_until.get(name, lambda: 0)
 
         def beat() -> None:
             if self._outage(name) is None and busy_until() <= self.now_ns:
                 self._guarded(name, self._workers[name].tick)
-            self._schedule(self.now_ns + period_ns, order, beat)
+            pace = self._workers[name].service.trigger  # its period may have changed
+            assert isinstance(pace, Every)
+            self._schedule(self.now_ns + pace.period_ns, order, beat)
 
         self._schedule(0, order, beat)
 

@@ -132,6 +132,7 @@ def run_live(
     while not stop.is_set():
         alive(time.monotonic_ns())
         if beats is not None:
+            beats.period_ns = service.trigger.period_ns if isinstance(service.trigger, Every) else beats.period_ns
             service.stages.add("cycle", beats.next(wait) * 1e-6)
             worker.tick()
         else:
@@ -163,19 +164,19 @@ def _waiting(
 
 
 class Beats:
-    """Periodic beats of a service.
+    """Periodic beats of a service, whose period may change.
 
     Beats missed during a stall are skipped, not caught up.
     """
 
     def __init__(self, pace: Every, clock: Callable[[], int]):
         """Start the period now, by a clock [ns]; the first beat is due one period later."""
-        self._period_ns, self._clock = pace.period_ns, clock
+        self.period_ns, self._clock = pace.period_ns, clock
         self._due_ns = self._at_ns = clock()
 
     def next(self, wait: Callable[[float], object]) -> int:
         """Wait for the next beat and return the time since the last one [ns]."""
-        self._due_ns = max(self._due_ns + self._period_ns, self._clock() - self._period_ns)
+        self._due_ns = max(self._due_ns + self.period_ns, self._clock() - self.period_ns)
         wait(max(0, self._due_ns - self._clock()) * 1e-9)
         before, self._at_ns = self._at_ns, self._clock()
         self._due_ns = min(self._due_ns, self._at_ns)  # the wait returned early

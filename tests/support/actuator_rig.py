@@ -39,7 +39,7 @@ class Rig:
     """
 
     def __init__(self, feet: Array = REST, torque: bool = True, latch: Latch | None = None) -> None:
-        self.now_ns = 0
+        self.now_ns, self.period_ns = 0, PERIOD
         self.latch = latch
         q = PROFILE.servo_angles(body_inverse(PROFILE, feet)).ravel()
         self.bank = ServoBank(IDS, q=q)
@@ -101,7 +101,7 @@ class Rig:
     def cycle(self, count: int = 1) -> ActuatorState:
         """Run cycles and return the last state."""
         for _ in range(count):
-            self.now_ns = max(self.now_ns + PERIOD, self.port.now_ns())
+            self.now_ns = max(self.now_ns + self.period_ns, self.port.now_ns())
             self.bus.advance(self.now_ns)
             q = self.goals if self.torque else PROFILE.joint_angles(self.bank._q.reshape(6, 3))
             q.flat[list(self.stuck)] = list(self.stuck.values())

@@ -14,12 +14,11 @@ from sextant.shared.robot.profile import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short
 _REFERENCE_MASS_KG = 2.5  # [kg] mass of the robot to which the limits of the parameters refer
-_MAX_READING_GAP_NS = 50_000_000  # [ns] maximum time between two readings from which the acceleration of the leg is computed
+_MAX_READING_GAP = 2.5  # [periods] maximum time between two readings from which the acceleration of the leg is computed
 _BALANCE_NS = 8_000_000  # [ns] time after goals are sent to which loads are converted, because the torque balance holds then
-_GOAL_PERIOD_NS = 20_000_000  # [ns] period at which goals are sent
 _TRANSMISSION_NS = 5_000_000  # [ns] time after goals are sent within which a servo may not have received them yet
 _MIN_TORQUE_CHANGE_NM = 0.1  # [N m] least torque difference of two goals that a reading tells apart; ticks cause half of it
-_LATE_NS = 30_000_000  # [ns] maximum age of a recent reading
+_LATE = 1.5  # [periods] maximum age of a recent reading
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo after which the contact of its leg is unknown
 _NONE = np.zeros(6, dtype=np.bool_)
 _ALL = np.ones(6, dtype=np.bool_)
@@ -65,6 +64,7 @@ class TouchdownDetector:
     def __init__(self, profile: RobotProfile, params: TouchdownParams | None = None):
         """Begin without a reading."""
         self._profile, self._params = profile, params or TouchdownParams()
+        self.period_ns = 20_000_000  # [ns] of the control cycle, in which goals are sent
         self._inertia = _leg_inertia(profile)
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
         # All of them are lists, one number for each leg: readings come leg by leg.
@@ -72,7 +72,7 @@ class TouchdownDetector:
         self._arm = [self._params.min_arm_m] * 6  # [m] horizontal lever arms of the feet over their femur axes
         self._goal, self._goal_change = [0.0] * 6, [0.0] * 6  # [rad] goals of the femurs, and their last change
         self._goal_change_difference = [0.0] * 6  # [rad] absolute difference between the last two goal changes
-        self._stamp_ns = [-_MAX_READING_GAP_NS - 1] * 6  # [ns] of the newest readings
+        self._stamp_ns = [-_SILENT_NS - 1] * 6  # [ns] of the newest readings
         self._push, self._push_before = [0.0] * 6, [0.0] * 6  # [N] upward ground force by the last two readings
         self._valid = [False] * 6  # whether the last two readings of a leg are close enough in time
         self._holding_torque = [0.0] * 6  # [N m] femur torques that hold the links against gravity
@@ -95,7 +95,7 @@ class TouchdownDetector:
         speed, since_ns = femur.speed, femur.stamp_ns - self._stamp_ns[leg]
         speed_change, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
         self._push_before[leg] = self._push[leg]
-        self._valid[leg] = 0 < since_ns <= _MAX_READING_GAP_NS
+        self._valid[leg] = 0 < since_ns <= _MAX_READING_GAP * self.period_ns
         if not self._valid[leg]:
             self._push[leg] = self._push_before[leg] = 0.0  # acceleration is unknown
             return
@@ -116,7 +116,7 @@ class TouchdownDetector:
         A servo read right after new goals may not have received them yet; its spring torque shows which goal it follows.
         """
         servo, goal = self._profile.servo, self._goal[leg]
-        since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), _GOAL_PERIOD_NS)
+        since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), self.period_ns)
         before = goal - self._goal_change[leg]
         new, old = (_spring_torque(servo, aim, femur.angle) for aim in (goal, before))
         if (
@@ -124,7 +124,7 @@ class TouchdownDetector:
             and abs(new - old) > _MIN_TORQUE_CHANGE_NM
             and abs(femur.load - old) < abs(femur.load - new)
         ):
-            since_ns, goal, new = since_ns + _GOAL_PERIOD_NS, before, old
+            since_ns, goal, new = since_ns + self.period_ns, before, old
         then = _spring_torque(servo, goal, femur.angle + femur.speed * (_BALANCE_NS - since_ns) * 1e-9)
         return femur.load + then - new
 
@@ -163,7 +163,7 @@ class TouchdownDetector:
 
     def heard(self, now_ns: int) -> NDArray[np.bool_]:
         """(6,) legs with valid recent readings."""
-        oldest = now_ns - _LATE_NS
+        oldest = now_ns - _LATE * self.period_ns
         return np.array([valid and stamp >= oldest for valid, stamp in zip(self._valid, self._stamp_ns, strict=True)])
 
     def silent(self, now_ns: int) -> NDArray[np.bool_]:

@@ -11,6 +11,7 @@ from sextant.services.actuator.locomotion.swing_trajectory import Swing
 from sextant.shared.wire.messages import StepPlan
 
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] waiting time for unproven legs, and for those that stand by their last reading alone
+_WAIT_CYCLES = 3  # control cycles that must at least have passed, however slow the computer is: each gives a reading
 _IN_VAIN_S = 0.2  # [s] longest additional wait while their servos do not answer
 
 
@@ -19,6 +20,7 @@ class LiftOffWait:
     """Waiting time of a step, before lift-off, for legs without proven contact."""
 
     waited_s: float = 0.0
+    cycles: int = 0  # in that time
     in_vain_s: float = 0.0  # additional time in which they gave no readings
 
     def is_over(self, legs: NDArray[np.bool_], felt: FootContact, dt: float) -> bool:
@@ -27,8 +29,9 @@ class LiftOffWait:
             self.in_vain_s += dt
         else:
             self.waited_s += dt
+            self.cycles += 1
         lost = legs & ~felt.may_bear if self.waited_s <= _LONGER_S else legs
-        return self.waited_s > _WAIT_S and bool(lost.any())
+        return self.waited_s > _WAIT_S and self.cycles > _WAIT_CYCLES and bool(lost.any())
 
 
 @dataclass(slots=True)

@@ -73,9 +73,10 @@ class Health:
 
         Args:
             profile: The robot.
-            period_s: [s] of the control cycle.
+            period_s: [s] of the control cycle; the attribute of that name follows its rate.
         """
-        self._profile, self._period = profile, period_s
+        self._profile = profile
+        self.period_s = period_s  # [s] of the control cycle
         self._voltage = np.nan  # [V] smoothed
         self._low_since: float | None = None
         # [deg C] The filter starts at the warm limit at most, because the first readings may be wrong, too.
@@ -94,7 +95,7 @@ class Health:
             vitals: State of the servos.
             torque: Whether torque should be on.
         """
-        self._late = self._late + 1 if dt > LATE * self._period else 0
+        self._late = self._late + 1 if dt > LATE * self.period_s else 0
         # Readings from before a servo, or all of them, fell silent are outdated.
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
@@ -144,7 +145,7 @@ class Health:
         if dt > GAP_S:
             return f"the actuator process did not run for {dt:.1f} s"
         if self._late >= LATE_CYCLES:
-            return f"the computer is too slow: {self._late} cycles in a row took more than {LATE * self._period * 1e3:.0f} ms"
+            return f"the computer is too slow: {self._late} cycles in a row took more than {LATE * self.period_s * 1e3:.0f} ms"
         return ""
 
     def _check_torque(self, torque_disabled: NDArray[np.bool_]) -> str:

@@ -1,0 +1,61 @@
+"""Rate of the control cycle that this computer holds. Pure: time is an input."""
+
+SHARES = (1.0, 2.0 / 3.0, 0.5)  # possible rates, of the nominal one
+_LATE_PERIODS = 1.4  # [periods] from one cycle to the next from which a cycle is late
+_TOO_MANY = 4.0  # late cycles in a row from which the rate falls, before the health monitor stops the robot
+_FORGIVEN = 0.25  # late cycles that a cycle in time makes up for, and slow cycles that one with time to spare makes up for
+_SPARE = 0.8  # largest share of the period of a higher rate that a cycle may take there
+_HIGHER_AFTER_S = 10.0  # [s] of cycles that a higher rate would leave time for, from which the rate rises
+
+
+class ControlRate:
+    """Lowers the rate of the control cycle while the computer is too slow for it, and raises it again."""
+
+    def __init__(self, nominal_hz: float):
+        """Begin at the nominal rate [Hz]."""
+        self._nominal_hz = nominal_hz
+        self._level = 0  # index of the present rate in `SHARES`
+        self._late = 0.0  # late cycles that have not been made up for
+        self._spare_s = 0.0  # [s] of cycles that a higher rate would leave time for
+
+    @property
+    def share(self) -> float:
+        """Present rate as a share of the nominal one."""
+        return SHARES[self._level]
+
+    @property
+    def period_ns(self) -> int:
+        """Present period [ns]."""
+        return round(1e9 / (self._nominal_hz * self.share))
+
+    @property
+    def warning(self) -> str:
+        """That the rate is lower than the nominal one, or an empty string."""
+        if not self._level:
+            return ""
+        nominal, present = f"{self._nominal_hz:.0f}", f"{self._nominal_hz * self.share:.0f}"
+        return f"the computer is too slow for {nominal} control cycles per second: it runs {present}; walking slower"
+
+    def note(self, since_last_s: float, took_s: float) -> bool:
+        """Note a cycle, and return whether the rate changes.
+
+        Args:
+            since_last_s: [s] from the begin of the last cycle to that of this one.
+            took_s: [s] that this cycle took, with its waits for the servo bus.
+        """
+        period_s = self.period_ns * 1e-9
+        late = since_last_s > _LATE_PERIODS * period_s
+        self._late = self._late + 1.0 if late else max(self._late - _FORGIVEN, 0.0)
+        if self._late >= _TOO_MANY and self._level < len(SHARES) - 1:
+            return self._change(1)
+        if not self._level:
+            return False
+        higher_s = 1.0 / (self._nominal_hz * SHARES[self._level - 1])
+        spare = not late and took_s <= _SPARE * higher_s
+        self._spare_s = self._spare_s + period_s if spare else max(self._spare_s - period_s / _FORGIVEN, 0.0)
+        return self._spare_s >= _HIGHER_AFTER_S and self._change(-1)
+
+    def _change(self, levels: int) -> bool:
+        self._level += levels
+        self._late = self._spare_s = 0.0
+        return True
