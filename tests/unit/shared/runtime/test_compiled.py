@@ -4,13 +4,15 @@ Their cache is invalidated only by the date of their own file.
 """
 
 import ast
+import importlib.util
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
-from sextant.shared.runtime.compiled import as_plain, compiled
+from sextant.shared.runtime.compiled import as_plain, baseline, compiled, processor
 
 ROOT = Path(__file__).parents[4]
 OURS = ("services", "shared", "evaluation", "deploy")
@@ -64,3 +66,42 @@ def test_compiled_function_takes_named_tuple_as_plain_one() -> None:
     line = Line(2.0, 1.0)
     assert type(as_plain(line)) is tuple
     assert height_on(as_plain(line), 3.0) == height_on(line, 3.0) == 7.0
+
+
+@pytest.mark.parametrize(
+    ("machine", "missing", "name"),
+    [("x86_64", (), "x86-64-v3"), ("x86_64", ("avx2",), ""), ("aarch64", ("avx2",), "generic"), ("riscv64", (), "")],
+)
+def test_processor_to_compile_for_is_the_common_one_where_there_is_one(
+    machine: str, missing: tuple[str, ...], name: str
+) -> None:
+    features = dict.fromkeys(("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "sse4.2"), True)
+    assert baseline(machine, features | dict.fromkeys(missing, False)) == name
+
+
+def test_installed_code_is_loaded_where_the_user_may_not_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile a file as the build of a wheel does, install it elsewhere, and let Numba write to another folder."""
+    built, installed = tmp_path / "built", tmp_path / "installed"
+    built.mkdir()
+    (built / "loops.py").write_text(
+        "from sextant.shared.runtime.compiled import compiled\n\n\n@compiled\ndef twice(x):\n    return 2.0 * x\n"
+    )
+
+    def first_call(folder: Path) -> Any:
+        spec = importlib.util.spec_from_file_location("loops", folder / "loops.py")
+        assert spec
+        assert spec.loader
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        assert module.twice(1.5) == 3.0
+        return module.twice.stats
+
+    assert first_call(built).cache_misses
+    shutil.copytree(built, installed)
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "of the user"))
+    stats = first_call(installed)
+    assert Path(stats.cache_path).is_relative_to(tmp_path / "of the user")
+    assert sum(stats.cache_hits.values()) == 1
+    assert not stats.cache_misses
+    (index,) = Path(stats.cache_path).glob("loops.twice-*.nbi")
+    assert processor().encode() in index.read_bytes()
