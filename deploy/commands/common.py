@@ -48,7 +48,7 @@ def say_if_it_compiles(progress: "Progress") -> None:
     from sextant.deploy.launch.warm_up import has_compiled
 
     if not has_compiled():
-        progress.say("the inner loops are compiled during the first walk, which takes about a minute")
+        progress.say("the inner loops are compiled during the first walk, which takes half a minute")
 
 
 def warm_up(progress: "Progress") -> None:

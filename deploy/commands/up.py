@@ -149,7 +149,7 @@ def _compile_first(progress: "Progress", interrupts: "Interrupts") -> None:
 
     if has_compiled():
         return
-    if problem := live_run.warm_up(progress, interrupts):
+    if problem := live_run.warm_up(progress, interrupts, whole=False):
         raise CommandError(f"{problem}; `sextant doctor` checks what the services need")
 
 

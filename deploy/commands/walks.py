@@ -238,7 +238,7 @@ def _run_live(
     with Interrupts() as interrupts:
         if parent:
             end_with(parent)
-        problem = "" if attach else live_run.warm_up(progress, interrupts)
+        problem = "" if attach else live_run.warm_up(progress, interrupts, walk.scenario.goal.passage)
         if problem:
             raise CommandError(f"{problem}; `sextant doctor` checks what the services need")
         if interrupts.asked():

@@ -97,7 +97,7 @@ def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
         memory_mb=1024,
     )
     # The warm-up compiles once for all services; otherwise each would compile for itself at the same time.
-    warm_up = Command(WARM_UP, ("-m", "sextant.deploy.launch.warm_up"), ENVIRONMENT, memory_mb=1536)
+    warm_up = Command(WARM_UP, ("-m", "sextant.deploy.launch.warm_up"), ENVIRONMENT, memory_mb=2048)
     waiting = [replace(command, after=(WARM_UP, *command.after)) for command in (*services, operator)]
     return _together(router_command(ROUTER_ENDPOINT), (warm_up, *waiting))
 

@@ -27,6 +27,7 @@ from sextant.shared.recording.live import LiveRecorder, Sink
 from sextant.shared.recording.writer import Recorder, Unwritable
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime import warm_up_mark
 from sextant.shared.runtime.clock import going_by, now_ns
 from sextant.shared.runtime.service import Service
 from sextant.shared.runtime.simulated_time import SERVO_BUS, SimulatedTime
@@ -46,7 +47,7 @@ _REAL_TIME = 0.95  # [1] share of real time from which simulated time counts as 
 # two idle cores runs at about 0.85. A computer counts as too slow below this, or where simulated time waited for a service.
 _TOO_SLOW = 0.75
 _WARM_S = 5.0  # [s] the warm-up takes less when everything is compiled already
-_WARM_UP = Command("warm-up", ("-m", "sextant.deploy.launch.warm_up", "--progress"), ENVIRONMENT)
+_WARM_UP = ("-m", "sextant.deploy.launch.warm_up", "--progress")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,16 +135,23 @@ def run_live_scenario(
     return Outcome(report, interrupts.asked())
 
 
-def warm_up(progress: Progress, interrupts: Interrupts) -> str:
-    """Compile everything that is compiled at first use, in a separate process, unless all of it is compiled.
+def warm_up(progress: Progress, interrupts: Interrupts, whole: bool = True) -> str:
+    """Compile what is compiled at first use, in a separate process, unless all of it is compiled.
+
+    Args:
+        progress: Display of the progress.
+        interrupts: The operator's interrupts.
+        whole: Compile everything. Otherwise the services compile what few walks need: colour when they start, and gap
+            crossings while the robot walks.
 
     Returns:
         The error as text, or an empty string.
     """
-    if compilation.is_complete():
+    if warm_up_mark.is_complete(whole):
         return ""
     began, found, told = time.monotonic(), CompiledFunctions(), None
-    with Launcher([_WARM_UP], hear=found.hear) as launcher:
+    command = Command("warm-up", _WARM_UP if whole else (*_WARM_UP, "--least"), ENVIRONMENT)
+    with Launcher([command], hear=found.hear) as launcher:
         while not interrupts.asked():
             ended = launcher.wait(_LOOK_S)
             if ended:

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator
 
 _SLOW_S = 10.0  # [s] after which the missing services are named
 _COMPILE_S = 120.0  # [s] that a first start may take
-_COMPILING = "the first start compiles the inner loops, which takes about a minute"
+_COMPILING = "the first start compiles the inner loops, which takes half a minute"
 _FAILING = "their output above says why; `sextant doctor` checks what they need"
 
 

@@ -74,7 +74,7 @@ class Lines:
         """Write that functions are being compiled: at the beginning, and at each quarter."""
         if not self._compiling:
             self._compiling = True
-            self.say("compiling the inner loops; the first start takes about a minute")
+            self.say("compiling the inner loops; the first start takes half a minute")
         elif total and done * 4 // total > self._quarters:
             self._quarters = done * 4 // total
             self.say(f"compiled {done} of {total} functions")
@@ -110,7 +110,7 @@ class Terminal:
         from rich.text import Text
 
         so_far = f": {done} of {total}" if total else ""
-        self._show(Text(f"compiling the inner loops{so_far}; the first start takes about a minute", "cyan"))
+        self._show(Text(f"compiling the inner loops{so_far}; the first start takes half a minute", "cyan"))
 
     def say(self, text: str) -> None:
         """Write a line above the table."""

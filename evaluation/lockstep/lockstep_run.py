@@ -57,8 +57,10 @@ Tap = Callable[[AnyTopic, bytes, int], object]
 
 
 @cache
-def _rehearse_passage(robot: str) -> None:
+def _rehearse_passage(robot: str) -> bool:
+    """Compile the search of gap crossings, so that no planning time includes compilation."""
     warmup.compile_functions(load_profile(robot), PlannerSettings())
+    return True
 
 
 class LockstepRun:
@@ -91,7 +93,7 @@ class LockstepRun:
         """
         keep_memory()
         if scenario.goal.passage:
-            _rehearse_passage(scenario.robot)  # compile now, so that no planning time includes compilation
+            _rehearse_passage(scenario.robot)
         self.scenario = scenario
         self.attendance = RunObservers(profile, scenario, seed)
         tuned = params.of_scenario(scenario)
@@ -119,7 +121,7 @@ class LockstepRun:
             "actuator": self._actuator(profile, scenario, simulator, Latch.of_port(stop_port) if stop_port else None),
             "perception": lambda: _perception(profile, looks, scenario, seed),
             "mapper": lambda: Mapper(profile, _map_settings(scenario, tuned)),
-            "planner": lambda: Planner(profile, _planner_settings(scenario, tuned)),
+            "planner": lambda: Planner(profile, _planner_settings(scenario, tuned), lambda: _rehearse_passage(scenario.robot)),
         }
         makers = {name: _explained(name, make) for name, make in makers.items()}
         if stop_port:

@@ -3,7 +3,7 @@
 It rests or steps, as in Lotriet's state machine.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -42,8 +42,14 @@ class Planner:
     )
     publishes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS, topics.PASSAGE_REQUEST, topics.PASSAGE_PLAN)
 
-    def __init__(self, profile: RobotProfile, settings: Settings):
-        """Start without a plan."""
+    def __init__(self, profile: RobotProfile, settings: Settings, may_search: Callable[[], bool] = lambda: True):
+        """Start without a plan.
+
+        Args:
+            profile: The robot.
+            settings: Settings.
+            may_search: Whether the search of gap crossings is compiled; before that, no crossing starts.
+        """
         self.max_age_s = {topics.ACTUATOR_STATE.key: _MAX_STATE_AGE_S, topics.BODY_POSE.key: settings.revision.pose_age_s}
         if not settings.blind:
             self.max_age_s[topics.TERRAIN.key] = settings.revision.map_age_s
@@ -53,7 +59,7 @@ class Planner:
         self._missing_ground = MissingGround()
         self._plans = PlanTracker(profile.foot.radius)
         self._steps = StepSelector(profile, settings, self._plans, self.stages)
-        self._goals = GoalFollower(profile, settings, self._steps, self._plans, self.stages)
+        self._goals = GoalFollower(profile, settings, self._steps, self._plans, self.stages, may_search)
         self._decision = Decision("waiting", "starting")  # the newest one
         self._has_goal = False
         self._moved_footholds = 0  # in the newest plan

@@ -1,18 +1,38 @@
-"""Warm-up: plan a short gap crossing, so that the search is compiled in advance."""
+"""Warm-up: plan a short gap crossing, so that the search is compiled in advance.
+
+Only a gap crossing calls compiled functions. While the search is compiled for the first time, the planner already works: it
+waits with a crossing (`SearchCompilation`).
+
+python -m sextant.services.planner.warmup     compiles the search with low priority
+"""
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sextant.services.planner.config import Settings
+from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.shutdown import end_with, leave
 from sextant.shared.wire import codec
 from sextant.shared.wire.messages import PassageMap
 
 _CELL, _CELLS = 0.01, (150, 120)  # [m], and number of cells along and across
 _START, _GOAL = 0.44, 0.80  # [m] start and goal of the body along the strip
 _EXPANSIONS = 200
+_ANY_ROBOT = "phantomx_mk2"  # the compiled code is the same for all
+_LOWEST = 19  # priority of the compiling process, by `nice`
 
 
 def compile_functions(profile: RobotProfile, _settings: Settings) -> None:
@@ -27,3 +47,52 @@ def compile_functions(profile: RobotProfile, _settings: Settings) -> None:
     roadmap = Roadmap(profile, PassageSettings(body_height=height))
     roadmap.begin(field, Stance(body, profile.rest_feet(height) + body), _GOAL, seed=0)
     roadmap.grow(_EXPANSIONS)
+
+
+def is_compiled() -> bool:
+    """Return whether Numba has cached the search."""
+    search: Any = roadmap_search.grow
+    name = f"{roadmap_search.__name__.rpartition('.')[2]}.grow-{search.py_func.__code__.co_firstlineno}.*.nbi"
+    return any(Path(search.stats.cache_path).glob(name))
+
+
+class SearchCompilation:
+    """Makes the search ready: loads it, or lets another process compile it first while the planner works.
+
+    A thread that compiles would delay the planner's cycles.
+    """
+
+    def __init__(self) -> None:
+        self._ready = threading.Event()
+
+    def is_ready(self) -> bool:
+        """Return whether a search compiles nothing."""
+        return self._ready.is_set()
+
+    def start(self, profile: RobotProfile, settings: Settings) -> None:
+        """Load the search, or start to compile it if it is not cached."""
+        if is_compiled():
+            self._load(profile, settings)
+            return
+        logging.info("compiling the search of gap crossings, the first time only; until then no gap is crossed")
+        threading.Thread(target=self._compile, args=(profile, settings), name="compile", daemon=True).start()
+
+    def _load(self, profile: RobotProfile, settings: Settings) -> None:
+        compile_functions(profile, settings)
+        self._ready.set()
+
+    def _compile(self, profile: RobotProfile, settings: Settings) -> None:
+        status = subprocess.run([sys.executable, "-m", __name__], check=False).returncode
+        if status == -signal.SIGTERM:
+            return  # the robot shuts down
+        if status:
+            logging.error("compiling the search of gap crossings failed (exit status %d)", status)
+            leave(1)
+        self._load(profile, settings)
+        logging.info("the search of gap crossings is compiled")
+
+
+if __name__ == "__main__":
+    end_with(os.getppid())
+    os.nice(_LOWEST)
+    compile_functions(load_profile(_ANY_ROBOT), Settings())

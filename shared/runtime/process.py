@@ -120,9 +120,7 @@ def run(
 
 def _patiently(compile_functions: Callable[[], None]) -> None:
     """Run the warm-up, and log a notice if it has to compile."""
-    telling = threading.Timer(
-        _PATIENCE_S, logging.info, ["compiling the inner loops takes about a minute, the first time only"]
-    )
+    telling = threading.Timer(_PATIENCE_S, logging.info, ["compiling the inner loops takes half a minute, the first time only"])
     telling.daemon = True
     telling.start()
     try:

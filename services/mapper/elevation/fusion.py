@@ -364,8 +364,10 @@ def merge(
 
 
 @compiled
-def update_cells(measured: Measurements, layers: FilterCells, rules: FilterRules) -> tuple[int, int, int]:
-    """Filter one measurement into each cell and count the results.
+def update_cells(
+    measured: tuple[NDArray[np.int64], Array, Array, Array], layers: FilterCells, rules: FilterRules
+) -> tuple[int, int, int]:
+    """Filter one measurement (the fields of `Measurements`) into each cell and count the results.
 
     Returns the numbers of updated, disputed and replaced cells.
     """
@@ -424,7 +426,7 @@ def settle_cells(measured: Measurements, layers: FilterCells, rules: FilterRules
     for k in range(len(cells)):
         one = slice(k, k + 1)
         for _ in range(patience + 1):
-            alone = Measurements(cells[one], z[one], random[one], systematic[one])
+            alone = (cells[one], z[one], random[one], systematic[one])
             updated, _, replaced = update_cells(alone, layers, rules)
             if updated or replaced:
                 changed += 1

@@ -3,7 +3,7 @@
 The robot walks to the edge of the gap, turns towards the far side, and starts to cross.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import radians
 
@@ -28,8 +28,9 @@ from sextant.shared.wire.messages import ActuatorState, Goal, Message, PassageMa
 class GapCrossingController:
     """Controls gap crossings for one goal at a time."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings):
-        """Initialize for a robot."""
+    def __init__(self, profile: RobotProfile, settings: Settings, may_search: Callable[[], bool] = lambda: True):
+        """Initialize for a robot; `may_search` returns whether a crossing may start, see `Planner`."""
+        self._may_search = may_search
         self._profile, self._settings, self._params = profile, settings, settings.gap_approach
         self._goal: Goal | None = None
         self._gap_crossing: GapCrossing | None = None
@@ -141,6 +142,8 @@ class GapCrossingController:
             self._approach = None
         unready = self._face(goal, state, standing.body, target)
         if unready is None:
+            if not self._may_search():
+                return Wait("waiting at the gap until the search of gap crossings is compiled")
             settings = self._settings
             passage = PassageSettings.of(settings.gap_crossing, settings.gap_detection, goal.body_height)
             roadmap = Roadmap(self._profile, passage)

@@ -1,16 +1,22 @@
 """Warm-up: afterwards the planning of a gap crossing compiles nothing."""
 
+import subprocess
 import sys
+import threading
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, thesis_blocks
 from sextant.evaluation.scoring.passage_truth import field_of, stance_at
+from sextant.services.planner import warmup
 from sextant.services.planner.config import Settings
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap
 from sextant.services.planner.roadmap.strip_map import StripMap
-from sextant.services.planner.warmup import compile_functions
+from sextant.services.planner.warmup import SearchCompilation, compile_functions
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire import codec
 from sextant.shared.wire.messages import PassageMap
@@ -53,3 +59,58 @@ def test_received_strip_equals_sent_ground() -> None:
     np.testing.assert_array_equal(told.evaluation, field.evaluation)
     np.testing.assert_allclose(told.T_world_strip, field.T_world_strip, atol=1e-12)
     assert not told.elevation.flags.writeable
+
+
+def test_cached_search_is_ready_at_once() -> None:
+    compile_functions(PROFILE, Settings())
+    compilation = SearchCompilation()
+    compilation.start(PROFILE, Settings())
+    assert compilation.is_ready()
+
+
+def test_another_process_compiles_search_while_planner_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled, loaded = threading.Event(), threading.Event()
+
+    def run(command: list[str], **_: object) -> SimpleNamespace:
+        assert command == [sys.executable, "-m", "sextant.services.planner.warmup"]
+        assert compiled.wait(60.0)
+        return SimpleNamespace(returncode=0)
+
+    monkeypatch.setattr(warmup, "is_compiled", lambda: False)
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(warmup, "compile_functions", lambda *_: loaded.set())
+    compilation = SearchCompilation()
+    compilation.start(PROFILE, Settings())
+    assert not compilation.is_ready()
+    assert not loaded.is_set()
+    compiled.set()
+    assert compilation._ready.wait(60.0)
+    assert loaded.is_set()
+
+
+def test_planner_ends_if_search_cannot_be_compiled(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    left: list[int] = []
+
+    def leave(status: int) -> None:
+        left.append(status)
+        raise SystemExit(status)
+
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: SimpleNamespace(returncode=-9))
+    monkeypatch.setattr(warmup, "leave", leave)
+    compilation = SearchCompilation()
+    with pytest.raises(SystemExit):
+        compilation._compile(PROFILE, Settings())
+    assert left == [1]
+    assert "failed (exit status -9)" in caplog.text
+    assert not compilation.is_ready()
+
+
+def test_cache_of_the_search_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    search = warmup.roadmap_search.grow
+    line = search.py_func.__code__.co_firstlineno  # type: ignore[attr-defined]
+    fake = SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path)), py_func=search.py_func)  # type: ignore[attr-defined]
+    monkeypatch.setattr(warmup.roadmap_search, "grow", fake)
+    (tmp_path / f"roadmap_search.grow-{line + 1}.py311.nbi").touch()
+    assert not warmup.is_compiled()
+    (tmp_path / f"roadmap_search.grow-{line}.py311.nbi").touch()
+    assert warmup.is_compiled()

@@ -3,7 +3,7 @@
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,47 +12,28 @@ import pytest
 
 from sextant.deploy.launch import warm_up
 from sextant.deploy.live.live_run import CompiledFunctions
+from sextant.services.mapper.elevation import fusion
 from sextant.services.planner.roadmap import roadmap_search
+from sextant.shared.runtime import warm_up_mark
 
 
 @pytest.fixture(autouse=True)
-def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def _keep_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep the machine's own mark, which tells what is compiled."""
-    path = tmp_path / "cache" / "warm_up.txt"
-    monkeypatch.setattr(warm_up, "MARK", path)
-    return path
+    monkeypatch.setattr(warm_up_mark, "MARK", tmp_path / "warm_up.txt")
 
 
-def test_warm_up_is_complete_until_source_cache_or_processor_change(
-    mark: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package = tmp_path / "package"
-    package.mkdir()
-    monkeypatch.setattr(warm_up, "_PACKAGE", package)
-    monkeypatch.setattr(warm_up, "share_out", lambda *_, **__: iter(()))
-    monkeypatch.setattr(sys, "argv", ["warm_up"])
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-
-    def changes(change: Callable[[], object]) -> bool:
-        assert warm_up.main() == 0
-        assert warm_up.is_complete()
-        change()
-        return not warm_up.is_complete()
-
-    assert not warm_up.is_complete()
-    source, code = package / "loops.py", package / "loops.add-1.py311.nbi"
-    for path in (source, code):
-        assert changes(lambda path=path: path.write_text("1")), "added"
-        assert changes(lambda path=path: path.write_text("12")), "changed"
-    assert not changes((package / "notes.txt").touch)
-    assert changes(code.unlink)
-    assert changes(lambda: monkeypatch.setattr("llvmlite.binding.get_host_cpu_name", lambda: "another"))
-    assert changes(lambda: monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path)))
-
-
-@pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])
-def test_first_compilation_runs_on_at_most_two_cores(
-    compiled: bool, cores: int, jobs: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("compiled", "cores", "options", "services", "jobs"),
+    [
+        (False, 1, [], ["mapper", "perception", "planner", "simulator"], 1),
+        (False, 2, [], ["mapper", "perception", "planner", "simulator"], 4),
+        (False, 2, ["--least"], ["mapper", "perception", "simulator"], 3),
+        (True, 16, [], ["mapper", "perception", "planner", "simulator"], 1),
+    ],
+)
+def test_first_compilation_runs_in_a_process_per_service(
+    compiled: bool, cores: int, options: list[str], services: list[str], jobs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[list[tuple[Any, ...]], int]] = []
 
@@ -63,20 +44,20 @@ def test_first_compilation_runs_on_at_most_two_cores(
     monkeypatch.setattr(warm_up, "share_out", share_out)
     monkeypatch.setattr(warm_up, "has_compiled", lambda: compiled)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
-    monkeypatch.setattr(sys, "argv", ["warm_up"])
+    monkeypatch.setattr(sys, "argv", ["warm_up", *options])
     assert warm_up.main() == 0
     ((tasks, found),) = asked
     assert found == jobs
-    assert sorted(service for share, _ in tasks for service in share) == ["mapper", "perception", "planner", "simulator"]
+    assert sorted(service for service, _, _ in tasks) == services
 
 
 def test_numba_cache_files_are_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled: Any = roadmap_search.grow
+    compiled: Any = fusion._measure
     assert Path(compiled.stats.cache_path).is_dir()
-    monkeypatch.setattr(roadmap_search, "grow", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
-    (tmp_path / "roadmap_search.other-1.py311.nbi").touch()
+    monkeypatch.setattr(fusion, "_measure", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
+    (tmp_path / "fusion.other-1.py311.nbi").touch()
     assert not warm_up.has_compiled()
-    (tmp_path / "roadmap_search.grow-1132.py311.nbi").touch()
+    (tmp_path / "fusion._measure-240.py311.nbi").touch()
     assert warm_up.has_compiled()
 
 
@@ -114,5 +95,6 @@ def test_functions_of_a_file_are_ready_once_one_is_loaded() -> None:
 
 
 def test_inlined_functions_are_not_counted() -> None:
+    assert roadmap_search.grow
     names = {one.py_func.__name__ for one in warm_up._compiled_functions()}
     assert "grow" in names

@@ -237,3 +237,22 @@ def test_robot_rests_before_every_attempt_to_cross(monkeypatch: pytest.MonkeyPat
             now_ns += 20_000_000
         assert (now_ns - begun_ns) * 1e-9 == pytest.approx(params.rest_s, abs=0.02)
         now_ns += round(params.refusal_s * 1e9)
+
+
+def test_no_crossing_starts_before_its_search_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BriefCrossing, "outcome", CannotCross("no path"))
+    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", BriefCrossing)
+    (rig, standing), terrain = at_the_edge(), Terrain(gap(0.8))
+    compiled: list[bool] = []
+    mode = GapCrossingController(load_profile("phantomx_mk2"), Settings(), lambda: bool(compiled))
+    goal, now_ns = replace(GOAL, gap_crossing="always"), rig.state.stamp_ns
+
+    def led() -> Outcome | MotionCommand:
+        return mode.lead(goal, replace(rig.state, stamp_ns=now_ns), standing, standing.body, terrain, None, "")
+
+    for _ in range(200):
+        found = led()
+        now_ns += 20_000_000
+    assert found == Wait("waiting at the gap until the search of gap crossings is compiled")
+    compiled.append(True)
+    assert led() == CannotCross("no path")

@@ -291,7 +291,7 @@ def test_long_compilation_is_explained(monkeypatch: pytest.MonkeyPatch, caplog: 
     told = threading.Event()
     monkeypatch.setattr(process.logging, "info", lambda words: (logging.getLogger().info(words), told.set()))
     assert run(lambda *_: Beating(end_self), CONNECT, lambda *_: told.wait(PATIENCE_S)) == 0
-    assert "compiling the inner loops takes about a minute, the first time only" in caplog.text
+    assert "compiling the inner loops takes half a minute, the first time only" in caplog.text
 
 
 @pytest.mark.parametrize(
