@@ -3,6 +3,7 @@
 Each fault is injected at a different phase of the step.
 """
 
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -29,7 +30,7 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode, ModeCommand
 
 _LOOK_NS = 20_000_000
-_BESIDE_S = 0.001  # [s] margin between a cycle and the outage that must skip it
+_BESIDE_S = 0.001  # [s] margin between a cycle and the outage after it
 SOON_S = 0.06  # [s] in which a torque-off order should be on the bus: an outage that begins in it may block the order
 
 
@@ -48,6 +49,7 @@ class FaultWalk(FaultRun):
         super().__init__(case)
         self._rng = np.random.default_rng([crc32(case.name.encode()), seed])
         self._meddler = PlannerFaultInjector(np.random.default_rng([seed, 1]))
+        self._late_s, self._late_until_s = 0.0, -math.inf  # [s] duration of the actuator's cycles until a time
         self._walked: set[int] = set()  # [ns] stamps of executed fuzzed plans
         self._sequence = 0
         self._failed = ""  # the service that raised an exception, and the exception
@@ -155,10 +157,7 @@ class FaultWalk(FaultRun):
                 self._simulator.inject(replace(fault, at_s=begin, servo=servo))
                 return begin + fault.for_s
             case Late(cycle_s, for_s):
-                for k in range(round(for_s / cycle_s)):
-                    from_s = begin + k * cycle_s + _BESIDE_S
-                    until_s = from_s + cycle_s - 2 * _BESIDE_S
-                    self._run.lose(Outage("actuator", round(from_s * 1e9), round(until_s * 1e9), kill=False))
+                self._late_s, self._late_until_s = cycle_s, begin + for_s
                 return begin + for_s
             case Clock(step_s, for_s):
                 time.time = _stepped(time.time, step_s)
@@ -204,6 +203,9 @@ class FaultWalk(FaultRun):
                 self._walked.add(self.state.plan_ns)
         elif topic is topics.TRUTH:
             self.hear_truth(frame)
+        elif topic is topics.ODOMETRY and at_ns * 1e-9 < self._late_until_s:  # sent in each of the actuator's cycles
+            until_ns = at_ns + round((self._late_s - _BESIDE_S) * 1e9)
+            self._run.lose(Outage("actuator", at_ns + round(_BESIDE_S * 1e9), until_ns, kill=False))
 
 
 _BUSES_AWAY = ("silent", "stuck", "garbage", "gone")

@@ -2,6 +2,7 @@
 
 SHARES = (1.0, 2.0 / 3.0, 0.5)  # possible rates, of the nominal one
 _LATE_PERIODS = 1.4  # [periods] from one cycle to the next from which a cycle is late
+_HELD_PERIODS = 1.55  # [periods] at most from one cycle to the next, for a rate that is worth a try
 _TOO_MANY = 4.0  # late cycles in a row from which the rate falls, before the health monitor stops the robot
 _FORGIVEN = 0.25  # late cycles that a cycle in time makes up for, and slow cycles that one with time to spare makes up for
 _SPARE = 0.8  # largest share of the period of a higher rate that a cycle may take there
@@ -9,7 +10,10 @@ _HIGHER_AFTER_S = 10.0  # [s] of cycles that a higher rate would leave time for,
 
 
 class ControlRate:
-    """Lowers the rate of the control cycle while the computer is too slow for it, and raises it again."""
+    """Lowers the rate of the control cycle while the computer is too slow for it, and raises it again.
+
+    If the computer holds none of the rates, the rate stays; the health monitor then stops the robot.
+    """
 
     def __init__(self, nominal_hz: float):
         """Begin at the nominal rate [Hz]."""
@@ -46,16 +50,21 @@ class ControlRate:
         period_s = self.period_ns * 1e-9
         late = since_last_s > _LATE_PERIODS * period_s
         self._late = self._late + 1.0 if late else max(self._late - _FORGIVEN, 0.0)
-        if self._late >= _TOO_MANY and self._level < len(SHARES) - 1:
-            return self._change(1)
+        if self._late >= _TOO_MANY and (lower := self._held(since_last_s)):
+            return self._change(lower)
         if not self._level:
             return False
         higher_s = 1.0 / (self._nominal_hz * SHARES[self._level - 1])
         spare = not late and took_s <= _SPARE * higher_s
         self._spare_s = self._spare_s + period_s if spare else max(self._spare_s - period_s / _FORGIVEN, 0.0)
-        return self._spare_s >= _HIGHER_AFTER_S and self._change(-1)
+        return self._spare_s >= _HIGHER_AFTER_S and self._change(self._level - 1)
 
-    def _change(self, levels: int) -> bool:
-        self._level += levels
+    def _held(self, since_last_s: float) -> int:
+        """Return the first lower rate that the computer might hold, as an index in `SHARES`; 0 for none."""
+        lower = range(self._level + 1, len(SHARES))
+        return next((i for i in lower if since_last_s <= _HELD_PERIODS / (self._nominal_hz * SHARES[i])), 0)
+
+    def _change(self, level: int) -> bool:
+        self._level = level
         self._late = self._spare_s = 0.0
         return True

@@ -152,7 +152,7 @@ class Actuator:
         period_ns = self._rate.period_ns
         self.trigger = Every(period_ns)
         self._clock.period_ns = self._estimator.touchdown.period_ns = period_ns
-        self._health.period_s = period_ns * 1e-9
+        self._health.follow_rate(period_ns * 1e-9)
 
     # ---------------------------------------------------------------------------------------------------- measurements
 

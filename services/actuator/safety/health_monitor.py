@@ -73,10 +73,10 @@ class Health:
 
         Args:
             profile: The robot.
-            period_s: [s] of the control cycle; the attribute of that name follows its rate.
+            period_s: [s] of the control cycle.
         """
         self._profile = profile
-        self.period_s = period_s  # [s] of the control cycle
+        self._period = period_s
         self._voltage = np.nan  # [V] smoothed
         self._low_since: float | None = None
         # [deg C] The filter starts at the warm limit at most, because the first readings may be wrong, too.
@@ -85,6 +85,10 @@ class Health:
         self._late = 0  # consecutive late cycles
         self._shutdowns = [_Shutdown() for _ in range(18)]
         self._shut_down = False  # whether a shutdown of any servo has begun and has not ended
+
+    def follow_rate(self, period_s: float) -> None:
+        """Expect cycles of another period [s] from now on."""
+        self._period, self._late = period_s, 0
 
     def update(self, now: float, dt: float, vitals: Vitals, torque: bool) -> Verdict:
         """Evaluate one cycle.
@@ -95,7 +99,7 @@ class Health:
             vitals: State of the servos.
             torque: Whether torque should be on.
         """
-        self._late = self._late + 1 if dt > LATE * self.period_s else 0
+        self._late = self._late + 1 if dt > LATE * self._period else 0
         # Readings from before a servo, or all of them, fell silent are outdated.
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
@@ -145,7 +149,7 @@ class Health:
         if dt > GAP_S:
             return f"the actuator process did not run for {dt:.1f} s"
         if self._late >= LATE_CYCLES:
-            return f"the computer is too slow: {self._late} cycles in a row took more than {LATE * self.period_s * 1e3:.0f} ms"
+            return f"the computer is too slow: {self._late} cycles in a row took more than {LATE * self._period * 1e3:.0f} ms"
         return ""
 
     def _check_torque(self, torque_disabled: NDArray[np.bool_]) -> str:
