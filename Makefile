@@ -16,7 +16,7 @@ install = $(PIP) install --constraint constraints.txt --editable '.[$(1)]' 2>$(V
 	then echo "No package index is reachable, so $(VENV) cannot be set up: connect this machine, or set PIP_INDEX_URL to a mirror ($(VENV)/pip.log)." >&2; \
 	else cat $(VENV)/pip.log >&2; fi; exit 2; }
 
-.PHONY: demo test docs check compiled live others campaign format clean
+.PHONY: demo test docs wheel check compiled live others campaign format clean
 
 demo: $(VENV)/.installed-all
 	@$(BIN)/sextant demo
@@ -31,6 +31,12 @@ test: compiled
 docs: $(VENV)/.installed-dev
 	@$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs docs/_build/html
 	@echo "docs/_build/html/index.html"
+
+# A wheel that starts without compiling: with this Python, on any x86-64-v3 or any arm64. Elsewhere its first start compiles.
+wheel: $(VENV)/.installed-all
+	@rm -rf build
+	@SEXTANT_COMPILE=$(abspath $(BIN)/python) $(PIP) wheel --no-deps --wheel-dir dist .
+	@ls dist/*.whl
 
 live: $(VENV)/.installed-dev
 	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m "live and not campaign" $(LIVE)
@@ -57,7 +63,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) runs docs/_build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) runs build dist docs/_build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
