@@ -53,16 +53,20 @@ def bench_accuracy(jobs: int, seeds: range, registration: str, params: tuple[str
 @benchmarks.command("speed")
 @_frames
 @_seeds
+@option("--recording", "depth sequence with reference poses (TUM layout), instead of rides", "DIR")
 @_registration
 @options.out
 @options.as_json
-def bench_speed(frames: int, seeds: range, registration: str, out: str | None, as_json: bool) -> int:
-    """Compare the time of registration with other implementations, frame by frame."""
+def bench_speed(frames: int, seeds: range, recording: str | None, registration: str, out: str | None, as_json: bool) -> int:
+    """Compare error and time of registration with other implementations, frame by frame."""
     from benchmarks.peers import chart, registration_speed, timing
 
     options.check_plugin("registration", registration)
-    folder = out_folder(out, "bench-speed")
-    timings, missing = registration_speed.registration(seeds, frames, open_progress(as_json).say, registration)
+    folder, say_progress = out_folder(out, "bench-speed"), open_progress(as_json).say
+    if recording is not None:
+        timings, missing = registration_speed.on_recording(Path(recording), say_progress, registration)
+    else:
+        timings, missing = registration_speed.registration(seeds, frames, say_progress, registration)
     chart.draw(folder / "speed.png", "Registration and other implementations", timings, missing)
     words, text = timing.in_words(timings, missing, registration_speed.HEADINGS), timing.to_json(timings, missing)
     return _tell_bench(words, text, folder / "speed.json", as_json)

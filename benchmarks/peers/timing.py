@@ -22,7 +22,7 @@ from sextant.shared.geometry import Array
 
 # fmt: off
 _PACKAGES = (
-    "numpy", "numba", "opencv-python-headless", "scipy", "scikit-image", "open3d", "small-gicp", "kiss-icp", "ompl",
+    "numpy", "numba", "opencv-python-headless", "scipy", "scikit-image", "open3d", "small-gicp", "genz-icp", "kiss-icp", "ompl",
     "pyserial", "dynamixel-sdk",
 )
 # fmt: on
@@ -169,21 +169,21 @@ def machine_in_words() -> str:
 
 
 def in_words(timings: Sequence[Timing], missing: Sequence[str], headings: Mapping[str, tuple[str, float, int]]) -> str:
-    """Return the timings as Markdown.
+    """Return the timings as Markdown, accuracy before time.
 
     Headings map a figure to its heading, factor and digits.
     """
     lines = [machine_in_words(), "time of the core, median (10th to 90th percentile); ratio to the first of each group"]
     columns = "".join(f"{heading:>12}" for heading, _, _ in headings.values())
     wide = max(22, *(len(t.method) + 2 for t in timings))
-    lines.append(f"{'stage':<18}{'case':<16}{'method':<{wide}}{'ms':>28}{'ratio':>28}{columns}")
+    lines.append(f"{'stage':<18}{'case':<16}{'method':<{wide}}{columns}{'ms':>28}{'ratio':>28}")
     for t in timings:
         ms = f"{t.ms.median:.2f} ({t.ms.p10:.2f} to {t.ms.p90:.2f})"
         ratio = f"{t.ratio.median:.2f} ({t.ratio.p10:.2f} to {t.ratio.p90:.2f})"
-        line = f"{t.stage:<18}{t.case:<16}{t.method:<{wide}}{ms:>28}{ratio:>28}"
+        line = f"{t.stage:<18}{t.case:<16}{t.method:<{wide}}"
         for name, (_, factor, digits) in headings.items():
             line += f"{factor * t.figures[name]:>12.{digits}f}" if name in t.figures else f"{'':>12}"
-        lines.append(line.rstrip())
+        lines.append(f"{line}{ms:>28}{ratio:>28}")
     lines += [f"not measured: {words}" for words in missing]
     return "\n".join(lines)
 

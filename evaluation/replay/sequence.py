@@ -50,7 +50,7 @@ _HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further
 _FARTHEST_M = 30.0  # [m] largest registration range
 _HAND_SIGMA = 0.01  # [m] and [rad] change of a hand's motion from one picture to the next
 _HAND_SIGMA_UNKNOWN = 0.05  # [m] and [rad] of motion if the previous one is unknown: 1.5 m/s and 86 deg/s at 30 Hz
-_HAND_DECAY_S = 0.15  # [s] in which the unobserved velocity of a hand decays to 1/e
+HAND_DECAY_S = 0.15  # [s] in which the unobserved velocity of a hand decays to 1/e
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class ConstantVelocity:
     def __init__(self, period_ns: int):
         self.stages = Stages()
         self._period_ns = period_ns
-        self._prior = VelocityPrior(_HAND_DECAY_S)
+        self._prior = VelocityPrior(HAND_DECAY_S)
         self._travelled = 0.0
         self._turned = 0.0
 

@@ -27,11 +27,14 @@ from benchmarks.peers import (
 from benchmarks.peers.scenes import MAPPED, REGISTERED
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
 from sextant.evaluation.metrics.true_ground import TrueGround
+from sextant.services.perception import tum
+from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.services.simulator.physics.terrain import Terrain
 from sextant.shared.geometry import inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import PassageMap, TerrainMap
+from tests.support.recordings import recording
 
 SCENES = {**MAPPED, **REGISTERED}
 
@@ -186,7 +189,7 @@ def test_wrong_plugin_or_parameter_is_refused_before_measuring(
 
 @pytest.mark.slow
 def test_speed_command_writes_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    methods = ("projective (default)", "kiss-icp")
+    methods = ("projective (default)", "kiss-icp, block means")
     monkeypatch.setattr(registration_speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
     monkeypatch.setattr(registration_speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
     plugin = "tests.support.plugins:Shifted"
@@ -199,6 +202,82 @@ def test_speed_command_writes_timings(tmp_path: Path, monkeypatch: pytest.Monkey
         assert row["ms"]["p10"] <= row["ms"]["median"] <= row["ms"]["p90"]
     assert table["machine"]["processor"]
     assert is_picture(tmp_path / "speed.png")
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """Return a recording of eight frames over boxes, with their true poses."""
+    scene = REGISTERED["sparse boxes"](np.random.default_rng(0))
+    way = ride(scene, np.random.default_rng(1), Errors(), frames=8, length=0.1)
+    camera, down = CarriedCamera(way, np.random.default_rng(2)), np.array([0.0, 0.0, -1.0])
+    with tum.RecordingWriter(tmp_path / "boxes", tum.Camera(way.profile.camera.intrinsics, 1000.0, 15.0, down)) as writer:
+        for k, stamp_ns in enumerate(way.stamps_ns):
+            writer.add(int(stamp_ns), camera.frame(k), way.T_world_camera[k])
+    return tmp_path / "boxes"
+
+
+def test_speed_on_recording_has_error_and_time(
+    tmp_path: Path, sequence: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ours = "projective (default)"
+    monkeypatch.setattr(registration_speed, "METHODS", {ours: registration_peers.METHODS[ours]})
+    plugin = "tests.support.plugins:Shifted"
+    words = ["speed", "--recording", str(sequence), "--registration", plugin, "--out", str(tmp_path)]
+    assert cli.main(words) == 0
+    said = capsys.readouterr().out
+    assert said.index("rms mm") < said.rindex("ratio")  # accuracy first
+    ours_row, _ = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["timings"]
+    assert (ours_row["method"], ours_row["case"]) == (ours, "boxes")
+    assert ours_row["rms_m"] < 0.005
+    assert ours_row["drift_m"] < 0.01
+    assert ours_row["ms"]["median"] > 0.0
+
+
+def test_speed_on_recording_needs_reference_poses(sequence: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (sequence / "groundtruth.txt").unlink()
+    assert cli.main(["speed", "--recording", str(sequence)]) == 2
+    assert "groundtruth.txt: poses of at least 3 frames expected, found 0" in capsys.readouterr().err
+
+
+@pytest.mark.data
+def test_speed_on_real_recording_follows_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kitchen = recording("kinect_kitchen")
+    (tmp_path / "depth").symlink_to(kitchen / "depth")
+    for name in ("camera.toml", "groundtruth.txt"):
+        (tmp_path / name).write_bytes((kitchen / name).read_bytes())
+    lines = [line for line in (kitchen / "depth.txt").read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    (tmp_path / "depth.txt").write_text("\n".join(lines[:10]) + "\n", encoding="utf-8")
+    ours = "projective (default)"
+    monkeypatch.setattr(registration_speed, "METHODS", {ours: registration_peers.METHODS[ours]})
+    (found,), missing = registration_speed.on_recording(tmp_path)
+    assert not missing
+    assert found.figures["rms_m"] < 0.005
+
+
+def test_peers_get_every_measured_pixel_and_the_block_means_of_the_default() -> None:
+    camera, settings = load_profile("phantomx_mk2").camera, Settings()
+    raw = np.random.default_rng(0).integers(600, 2400, (camera.intrinsics.height, camera.intrinsics.width)).astype(np.uint16)
+    raw[::3] = 0
+    points = camera.intrinsics.points(raw / camera.sensor.depth_scale)[raw > 0]
+    np.testing.assert_allclose(registration_peers.Pixels(camera, settings).of(raw), points, rtol=1e-6)
+    raw[:] = 1000  # a wall
+    blocks = registration_peers.BlockMeans(camera, settings).of(raw)
+    assert len(blocks) == 160 * 120
+    np.testing.assert_allclose(blocks[:, 2], 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "library"), [("VGICP", "small_gicp"), ("GenZ-ICP", "genz_icp")])
+@pytest.mark.parametrize("points", ["block means", "pixels"])
+def test_peer_follows_a_short_ride(name: str, library: str, points: str, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip(library, reason="not installed")
+    way = ride(REGISTERED["sparse boxes"](np.random.default_rng(0)), np.random.default_rng(1), Errors(), 20, 0.2)
+    camera = CarriedCamera(way, np.random.default_rng(2))
+    peer = registration_peers.METHODS[f"{name}, {points}"](way.profile.camera, Settings())
+    T = way.T_world_camera[8]
+    for k in (8, 9, 10, 11, 12):
+        T = peer.update(camera.frame(k), k, T, np.eye(6)).T_world_camera
+    assert np.linalg.norm((T - way.T_world_camera[12])[:3, 3]) < 0.03
+    assert capfd.readouterr().out == ""
 
 
 def test_speed_requires_at_least_three_frames(capsys: pytest.CaptureFixture[str]) -> None:
@@ -303,10 +382,10 @@ def test_thesis_icp_finds_observable_motion() -> None:
     camera = CarriedCamera(way, np.random.default_rng(2))
     profile = way.profile.camera
     pytest.importorskip("scipy", reason="the thesis' ICP needs SciPy, of the bench extra")
-    thesis = registration_peers.METHODS["thesis ICP"](profile.intrinsics, profile.sensor)
+    thesis = registration_peers.METHODS["thesis ICP, pixels"](profile, Settings())
     T = way.T_world_camera[0]
     for k in (8, 9, 10, 11, 12):
-        T = thesis.update(camera.frame(k), k - 8, T if k > 8 else way.T_world_camera[8], np.eye(6))
+        T = thesis.update(camera.frame(k), k - 8, T if k > 8 else way.T_world_camera[8], np.eye(6)).T_world_camera
     assert np.linalg.norm((T - way.T_world_camera[12])[:3, 3]) < 0.05
 
 
