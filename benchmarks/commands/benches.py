@@ -54,19 +54,22 @@ def bench_accuracy(jobs: int, seeds: range, registration: str, params: tuple[str
 @_frames
 @_seeds
 @option("--recording", "depth sequence with reference poses (TUM layout), instead of rides", "DIR")
+@option("--only", "compare only with methods with these words in their name", "WORDS", default="")
 @_registration
 @options.out
 @options.as_json
-def bench_speed(frames: int, seeds: range, recording: str | None, registration: str, out: str | None, as_json: bool) -> int:
+def bench_speed(
+    frames: int, seeds: range, recording: str | None, only: str, registration: str, out: str | None, as_json: bool
+) -> int:
     """Compare error and time of registration with other implementations, frame by frame."""
     from benchmarks.peers import chart, registration_speed, timing
 
     options.check_plugin("registration", registration)
     folder, say_progress = out_folder(out, "bench-speed"), open_progress(as_json).say
     if recording is not None:
-        timings, missing = registration_speed.on_recording(Path(recording), say_progress, registration)
+        timings, missing = registration_speed.on_recording(Path(recording), say_progress, registration, only)
     else:
-        timings, missing = registration_speed.registration(seeds, frames, say_progress, registration)
+        timings, missing = registration_speed.registration(seeds, frames, say_progress, registration, only)
     chart.draw(folder / "speed.png", "Registration and other implementations", timings, missing)
     words, text = timing.in_words(timings, missing, registration_speed.HEADINGS), timing.to_json(timings, missing)
     return _tell_bench(words, text, folder / "speed.json", as_json)

@@ -143,8 +143,10 @@ class _Genz:
     """
 
     def __init__(self, points: _Sampling, setup: GenzSetup, max_range: float):
-        from genz_icp.pybind import genz_icp_pybind as genz
-
+        try:
+            from genz_icp.pybind import genz_icp_pybind as genz
+        except ModuleNotFoundError as error:
+            raise ImportError(f"{error}; `pip install genz-icp` installs it, on x86-64") from error
         self._genz, self._points, self._setup = genz, points, setup
         self._registration = genz._Registration(100, 1e-4, 1)
         self._map = genz._VoxelHashMap(

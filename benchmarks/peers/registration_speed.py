@@ -63,12 +63,17 @@ class _InHand:
 
 
 def registration(
-    seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None, plugin: str = ""
+    seeds: Sequence[int],
+    frames: int = 100,
+    say: Callable[[str], object] = lambda _: None,
+    plugin: str = "",
+    only: str = "",
 ) -> tuple[list[Timing], list[str]]:
     """Time all methods of registration on all scenes.
 
     Return the timings, and which methods cannot be timed and why. The figures are the median over the seeds of the position
-    error: `rms_m` [m] of all frames, `drift_m` [m] at the end. A plug-in is one more method.
+    error: `rms_m` [m] of all frames, `drift_m` [m] at the end. A plug-in is one more method. `only` selects peers by a part of
+    their name.
 
     Raises:
         PluginError: The plug-in failed.
@@ -82,7 +87,7 @@ def registration(
             for seed in seeds:
                 rngs = [np.random.default_rng([seed, k]) for k in range(3)]
                 way = ride(REGISTERED[scene](rngs[0]), rngs[1], Errors(), frames, _STEP * frames)
-                methods, missing = _methods(way.profile, Settings(), plugin)
+                methods, missing = _methods(way.profile, Settings(), plugin, only)
                 on_ride = {name: _OnRide(method, way.T_world_camera[0]) for name, method in methods.items()}
                 race.start(on_ride)
                 camera = CarriedCamera(way, rngs[2])
@@ -97,7 +102,7 @@ def registration(
 
 
 def on_recording(
-    folder: Path, say: Callable[[str], object] = lambda _: None, plugin: str = ""
+    folder: Path, say: Callable[[str], object] = lambda _: None, plugin: str = "", only: str = ""
 ) -> tuple[list[Timing], list[str]]:
     """Time all methods of registration on a recording in the TUM layout.
 
@@ -116,7 +121,7 @@ def on_recording(
     profile = profile_for(sequence)
     settings = hand_held_settings("projective", profile.camera.sensor)
     with one_core():
-        methods, missing = _methods(profile, settings, plugin)
+        methods, missing = _methods(profile, settings, plugin, only)
         race = Race("registration", folder.name, warm=min(_WARM, len(sequence) - 1))
         in_hand = {name: _InHand(method, settings, profile.camera.T_body_camera) for name, method in methods.items()}
         race.start(in_hand)
@@ -131,8 +136,12 @@ def on_recording(
     return race.timings(_figures(errors)), missing
 
 
-def _methods(profile: RobotProfile, settings: Settings, plugin: str) -> tuple[dict[str, RegistrationMethod], list[str]]:
-    methods, missing = installed(METHODS, profile.camera, settings)
+def _methods(
+    profile: RobotProfile, settings: Settings, plugin: str, only: str
+) -> tuple[dict[str, RegistrationMethod], list[str]]:
+    """Return the default and the methods with `only` in their names, and which are missing."""
+    chosen = {name: make for k, (name, make) in enumerate(METHODS.items()) if k == 0 or only in name}
+    methods, missing = installed(chosen, profile.camera, settings)
     if plugin:
         methods[plugin] = PluginRegistration(profile, plugin)
     return methods, missing

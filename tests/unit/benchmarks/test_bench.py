@@ -220,10 +220,10 @@ def test_speed_on_recording_has_error_and_time(
     tmp_path: Path, sequence: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ours = "projective (default)"
-    monkeypatch.setattr(registration_speed, "METHODS", {ours: registration_peers.METHODS[ours]})
+    monkeypatch.setattr(registration_speed, "METHODS", {ours: registration_peers.METHODS[ours], "other": pytest.fail})
     plugin = "tests.support.plugins:Shifted"
     words = ["speed", "--recording", str(sequence), "--registration", plugin, "--out", str(tmp_path)]
-    assert cli.main(words) == 0
+    assert cli.main([*words, "--only", "nothing"]) == 0
     said = capsys.readouterr().out
     assert said.index("rms mm") < said.rindex("ratio")  # accuracy first
     ours_row, _ = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["timings"]
