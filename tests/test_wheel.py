@@ -36,7 +36,7 @@ def test_package_installed_from_wheel_compiles_nothing(tmp_path: Path) -> None:
     for place in ({}, {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}):  # the second stands for a folder without write permission
         around = outside | {"PYTHONPATH": str(installed), **place}
         done = subprocess.run(
-            [sys.executable, "-c", WARM_UP], env=around, capture_output=True, text=True, check=True, timeout=300
+            [sys.executable, "-c", WARM_UP], cwd=tmp_path, env=around, capture_output=True, text=True, check=True, timeout=300
         )
         where, complete, loaded, compiled = done.stdout.split()
         assert Path(where).is_relative_to(installed)
