@@ -44,7 +44,7 @@ class PlanCheck:
         self._handover_s = handover_s
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
-        self._accepted: StepPlan | None = None  # the last one
+        self._accepted: dict[int, StepPlan] = {}  # the last ones of neighbouring steps, by the step's number
 
     def untimely(
         self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_], clearance: Array
@@ -79,11 +79,18 @@ class PlanCheck:
         return ""
 
     def renew(self, plan: StepPlan) -> bool:
-        """Return whether a plan only repeats the last accepted one; it is then the newest, and needs no further check."""
-        renews = self._accepted is not None and _repeats(plan, self._accepted) and not _malformed(plan)
+        """Return whether a plan only repeats an accepted one of its step; it is then the newest, and needs no further check."""
+        accepted = self._accepted.get(plan.step)
+        renews = accepted is not None and _repeats(plan, accepted) and not _malformed(plan)
         if renews:
-            self._last_stamp_ns, self._accepted = plan.stamp_ns, plan
+            self._keep(plan)
         return renews
+
+    def _keep(self, plan: StepPlan) -> None:
+        """Store the newest accepted plan, and keep those of the steps before and after it."""
+        near = {step: old for step, old in self._accepted.items() if abs(step - plan.step) == 1}
+        self._accepted = {**near, plan.step: plan}
+        self._last_stamp_ns = plan.stamp_ns
 
     def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False, air_s: Array = STAYS) -> str:
         """Return why a plan must not be walked; an empty string accepts it as the newest.
@@ -103,7 +110,7 @@ class PlanCheck:
             or self._too_fast(plan, T_odom_body, feet, air_s if revises and np.isfinite(air_s).any() else None)
         )
         if not reason:
-            self._last_stamp_ns, self._accepted = plan.stamp_ns, plan
+            self._keep(plan)
         return reason
 
     def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:

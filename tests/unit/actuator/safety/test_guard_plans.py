@@ -85,6 +85,11 @@ def test_revision_that_only_repeats_the_step_is_not_checked_again() -> None:
     robot.now += CYCLE
     assert not robot.accept_plan(corrected(first, duration=first.duration + 0.1)), "it is another plan"
     assert robot.accept_plan(corrected(first))
+    robot.now += CYCLE
+    robot.stance_at_end = replace(robot.stance_at_end, feet=FEET)
+    assert robot.accept_plan(robot.plan()), "the next step is queued"
+    robot.now += CYCLE
+    assert robot.accept_plan(corrected(first)), "and the running one is still known"
     stale = corrected(first)
     assert not robot.accept_plan(stale), "a repeated plan must be newer, too"
     robot.now += CYCLE
