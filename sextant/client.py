@@ -436,12 +436,13 @@ class Commander:
                 self._see_lease(state.lease)
             due = list(self._due(tick.stamp_ns)) if self._robot.known else []
         yield from due
+        newest = None
+        if state is not None:
+            pose, planner = inbox.fresh(topics.BODY_POSE, _SILENT_S), inbox.fresh(topics.PLANNER_STATUS, _SILENT_S)
+            newest = Status(state, pose, planner)
         with self.changed:
             self.refused_by_router = router_refusal(inbox) or self.refused_by_router
-            self.newest = None
-            if state is not None:
-                planner = inbox.fresh(topics.PLANNER_STATUS, _SILENT_S)
-                self.newest = Status(state, inbox.fresh(topics.BODY_POSE, _SILENT_S), planner)
+            self.newest = newest  # set once: other threads read it without the lock
             self.changed.notify_all()
 
     def _see_lease(self, holder: str) -> None:

@@ -117,6 +117,23 @@ def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
     return made
 
 
+def test_status_is_readable_from_other_threads_while_messages_are_decoded(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Client():
+        robot.wait()
+        fresh, seen = robot.inbox.fresh, []
+
+        def looked(topic: AnyTopic, within_s: float | None = None) -> Message | None:
+            seen.append(robot.made.newest)
+            return fresh(topic, within_s)
+
+        monkeypatch.setattr(robot.inbox, "fresh", looked)
+        robot.wait()
+    assert len(seen) >= 3
+    assert all(status is not None for status in seen)
+
+
 def test_walk_is_stopped_when_client_disconnects(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()
