@@ -72,7 +72,7 @@ class TouchdownDetector:
         self._arm = [self._params.min_arm_m] * 6  # [m] horizontal lever arms of the feet over their femur axes
         self._goal, self._goal_change = [0.0] * 6, [0.0] * 6  # [rad] goals of the femurs, and their last change
         self._goal_change_difference = [0.0] * 6  # [rad] absolute difference between the last two goal changes
-        self._stamp_ns = [-_SILENT_NS - 1] * 6  # [ns] of the newest readings
+        self._stamp_ns = [-round(_MAX_READING_GAP * self.period_ns) - 1] * 6  # [ns] of the newest readings
         self._push, self._push_before = [0.0] * 6, [0.0] * 6  # [N] upward ground force by the last two readings
         self._valid = [False] * 6  # whether the last two readings of a leg are close enough in time
         self._holding_torque = [0.0] * 6  # [N m] femur torques that hold the links against gravity
