@@ -226,7 +226,7 @@ class Lockstep:
                 continue
             worker = self._workers[name]
             worker.inbox.receive(topic, frame, self.now_ns)  # a hung service reads it later
-            if outage is None and topic in worker.triggers:
+            if outage is None and worker.service.trigger is topic:
                 self._guarded(name, worker.arrived)
 
 

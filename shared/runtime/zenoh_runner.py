@@ -116,7 +116,7 @@ def run_live(
 
     def receive(topic: AnyTopic, frame: bytes) -> None:
         worker.inbox.receive(topic, frame, clock())
-        if topic in worker.triggers:
+        if topic is pace:
             arrived.set()
 
     fetches = isinstance(pace, Every) and pace.fetches
