@@ -182,7 +182,9 @@ def test_rates_sizes_gaps_and_ages_match_frames() -> None:
     assert found["onboard", Lane.CONTROL] == found["sum", Lane.CONTROL]
     budget = 50.0 * topics.ODOMETRY.max_bytes + 100.0 * topics.IMU.max_bytes
     assert found["onboard", Lane.CONTROL] == topic_stats.Total(2.0, odometry.bytes_per_s, budget)
-    assert found["offboard", Lane.BULK] == topic_stats.Total(0.5, map_.bytes_per_s, topics.TERRAIN.rate_hz * topics.TERRAIN.max_bytes)
+    assert found["offboard", Lane.BULK] == topic_stats.Total(
+        0.5, map_.bytes_per_s, topics.TERRAIN.rate_hz * topics.TERRAIN.max_bytes
+    )
     words = topic_stats.in_words([odometry, map_, imu])
     assert "2.0, 50 Hz" in words
     assert "*" not in words
