@@ -310,7 +310,7 @@ def orthonormal(T: Array) -> Array:
 def align_rigid(source: Array, target: Array, weights: Array | None = None) -> Array:
     """Compute the rigid transform from source points (n, 3) to target points (n, 3).
 
-    It minimizes the weighted squared distances (Kabsch).
+    It minimizes the weighted squared distances (Horn; Kabsch where the quaternion is not well determined).
 
     Raises:
         ValueError: There are fewer than three points, or the shapes differ.

@@ -2,11 +2,12 @@
 
 SHARES = (1.0, 2.0 / 3.0, 0.5)  # possible rates, of the nominal one
 _LATE_PERIODS = 1.4  # [periods] from one cycle to the next from which a cycle is late
-_HELD_PERIODS = 1.55  # [periods] at most from one cycle to the next, for a rate that is worth a try
-_TOO_MANY = 4.0  # late cycles in a row from which the rate falls, before the health monitor stops the robot
-_FORGIVEN = 0.25  # late cycles that a cycle in time makes up for, and slow cycles that one with time to spare makes up for
-_SPARE = 0.8  # largest share of the period of a higher rate that a cycle may take there
-_HIGHER_AFTER_S = 10.0  # [s] of cycles that a higher rate would leave time for, from which the rate rises
+_HELD_PERIODS = 1.55  # [periods] longest time from one cycle to the next with which a lower rate is chosen
+_TOO_MANY = 4.0  # count of late cycles from which the rate falls; the health monitor stops the robot after five in a row
+_PUNCTUAL = 0.25  # by which a punctual cycle lowers that count
+_SPARE = 0.8  # largest share of a higher rate's period that a cycle may take for that rate to be held
+_HIGHER_AFTER_S = 10.0  # [s] of cycles short enough for the next higher rate, from which the rate rises
+_SLOW_COUNTS = 4.0  # times their duration that longer cycles take away from that time
 
 
 class ControlRate:
@@ -19,8 +20,8 @@ class ControlRate:
         """Begin at the nominal rate [Hz]."""
         self._nominal_hz = nominal_hz
         self._level = 0  # index of the present rate in `SHARES`
-        self._late = 0.0  # late cycles that have not been made up for
-        self._spare_s = 0.0  # [s] of cycles that a higher rate would leave time for
+        self._late = 0.0  # count of late cycles, lowered by punctual ones
+        self._spare_s = 0.0  # [s] of cycles short enough for the next higher rate
 
     @property
     def share(self) -> float:
@@ -34,7 +35,7 @@ class ControlRate:
 
     @property
     def warning(self) -> str:
-        """That the rate is lower than the nominal one, or an empty string."""
+        """Warning that the rate is lower than the nominal one, or an empty string."""
         if not self._level:
             return ""
         nominal, present = f"{self._nominal_hz:.0f}", f"{self._nominal_hz * self.share:.0f}"
@@ -49,18 +50,18 @@ class ControlRate:
         """
         period_s = self.period_ns * 1e-9
         late = since_last_s > _LATE_PERIODS * period_s
-        self._late = self._late + 1.0 if late else max(self._late - _FORGIVEN, 0.0)
+        self._late = self._late + 1.0 if late else max(self._late - _PUNCTUAL, 0.0)
         if self._late >= _TOO_MANY and (lower := self._held(since_last_s)):
             return self._change(lower)
         if not self._level:
             return False
         higher_s = 1.0 / (self._nominal_hz * SHARES[self._level - 1])
         spare = not late and took_s <= _SPARE * higher_s
-        self._spare_s = self._spare_s + period_s if spare else max(self._spare_s - period_s / _FORGIVEN, 0.0)
+        self._spare_s = self._spare_s + period_s if spare else max(self._spare_s - _SLOW_COUNTS * period_s, 0.0)
         return self._spare_s >= _HIGHER_AFTER_S and self._change(self._level - 1)
 
     def _held(self, since_last_s: float) -> int:
-        """Return the first lower rate that the computer might hold, as an index in `SHARES`; 0 for none."""
+        """Return the highest lower rate that the computer may hold, as an index in `SHARES`; 0 for none."""
         lower = range(self._level + 1, len(SHARES))
         return next((i for i in lower if since_last_s <= _HELD_PERIODS / (self._nominal_hz * SHARES[i])), 0)
 

@@ -23,7 +23,7 @@ GATHERED_S = 0.55  # [s] of a motion at that speed: acceleration takes 8 % of th
 FLIES_AT = 0.8  # share of its clearance, between rise and fall
 SHORTEST_LEFT_S = 0.1  # [s] minimum time in which a revision may ask for the last millimetres
 MOVED = 0.005  # [m] by which a standing leg may miss its foot in a revision, by its length or joint limits
-SAME_M = 1e-6  # [m] difference between two plans for the same step that is due to rounding
+SAME = 1e-6  # [m] and [1] difference between poses and points of two plans for one step that is due to rounding
 STAYS = np.full(6, np.inf)  # [s]
 
 
@@ -44,7 +44,7 @@ class PlanCheck:
         self._handover_s = handover_s
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
-        self._accepted: dict[int, StepPlan] = {}  # the last ones of neighbouring steps, by the step's number
+        self._checked: dict[int, StepPlan] = {}  # the last plans of neighbouring steps that passed the checks, by step number
 
     def untimely(
         self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_], clearance: Array
@@ -79,18 +79,15 @@ class PlanCheck:
         return ""
 
     def renew(self, plan: StepPlan) -> bool:
-        """Return whether a plan only repeats an accepted one of its step; it is then the newest, and needs no further check."""
-        accepted = self._accepted.get(plan.step)
-        renews = accepted is not None and _repeats(plan, accepted) and not _malformed(plan)
-        if renews:
-            self._keep(plan)
-        return renews
+        """Return whether a plan only repeats the checked one of its step; it is then the newest, and needs no further check.
 
-    def _keep(self, plan: StepPlan) -> None:
-        """Store the newest accepted plan, and keep those of the steps before and after it."""
-        near = {step: old for step, old in self._accepted.items() if abs(step - plan.step) == 1}
-        self._accepted = {**near, plan.step: plan}
-        self._last_stamp_ns = plan.stamp_ns
+        It is compared with the plan that was checked, not with earlier repetitions, so that small differences cannot add up.
+        """
+        checked = self._checked.get(plan.step)
+        renews = checked is not None and _repeats(plan, checked) and not _malformed(plan)
+        if renews:
+            self._last_stamp_ns = plan.stamp_ns
+        return renews
 
     def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False, air_s: Array = STAYS) -> str:
         """Return why a plan must not be walked; an empty string accepts it as the newest.
@@ -110,7 +107,9 @@ class PlanCheck:
             or self._too_fast(plan, T_odom_body, feet, air_s if revises and np.isfinite(air_s).any() else None)
         )
         if not reason:
-            self._keep(plan)
+            near = {step: checked for step, checked in self._checked.items() if abs(step - plan.step) == 1}
+            self._checked = {**near, plan.step: plan}
+            self._last_stamp_ns = plan.stamp_ns
         return reason
 
     def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
@@ -197,18 +196,18 @@ def reaches(profile: RobotProfile, feet: Array) -> bool:
     return bool(within_limits(profile, body_inverse(profile, feet)).all())
 
 
-def _repeats(plan: StepPlan, accepted: StepPlan) -> bool:
-    """Return whether a plan repeats the step of an accepted one.
+def _repeats(plan: StepPlan, checked: StepPlan) -> bool:
+    """Return whether a plan repeats the step of a checked one.
 
     The robot's place in {world} may have been corrected meanwhile, so they are compared in {odom}.
     """
-    if (plan.epoch, plan.step, plan.duration, plan.stop) != (accepted.epoch, accepted.step, accepted.duration, accepted.stop):
+    if (plan.epoch, plan.step, plan.duration, plan.stop) != (checked.epoch, checked.step, checked.duration, checked.stop):
         return False
-    if (plan.swing != accepted.swing).any() or (plan.clearance != accepted.clearance).any():
+    if (plan.swing != checked.swing).any() or (plan.clearance != checked.clearance).any():
         return False
-    T = accepted.T_world_odom @ inverse(plan.T_world_odom)
-    moved = (apply(T, plan.touchdown) - accepted.touchdown)[plan.swing]
-    return bool((np.abs(moved) < SAME_M).all() and (np.abs(T @ plan.body_goal - accepted.body_goal) < SAME_M).all())
+    T = checked.T_world_odom @ inverse(plan.T_world_odom)
+    moved = (apply(T, plan.touchdown) - checked.touchdown)[plan.swing]
+    return bool((np.abs(moved) < SAME).all() and (np.abs(T @ plan.body_goal - checked.body_goal) < SAME).all())
 
 
 def _malformed(plan: StepPlan) -> str:

@@ -80,9 +80,8 @@ class Joints:
         self._catching_up = CatchingUp()
         self.q = self.goals = np.zeros((6, 3))  # [rad] joint angles by the newest readings; goals as stored in the servos
         self.torque = np.zeros(18, dtype=np.bool_)  # servos with torque on
-        self._torque_flags = b""  # torque and errors for which the next two were computed
-        self._torque_disabled: NDArray[np.bool_] = np.zeros((6, 3), dtype=np.bool_)
-        self._legs_without_torque: NDArray[np.bool_] = np.zeros(6, dtype=np.bool_)
+        self._torque_flags = b""  # torque and errors of the servos for which the next were computed
+        self._torque_disabled = np.zeros((6, 3), dtype=np.bool_), np.zeros(6, dtype=np.bool_)
         self.strength = np.ones(18)  # torque limit of each servo, as a share of its maximum
         self._max_torque = np.full(18, dxl.TORQUE_LIMIT.max)  # Max Torque register of each servo
         self._adopt_state([self._wait_for_state(i) for i in self._bus.servo_ids])
@@ -135,19 +134,22 @@ class Joints:
     @property
     def torque_disabled(self) -> NDArray[np.bool_]:
         """(6, 3) joints whose servo has no torque or has shut down."""
-        flags = self.torque.tobytes() + self._bus.errors.tobytes()
-        if flags != self._torque_flags:  # it is read several times in a cycle
-            self._torque_flags = flags
-            self._torque_disabled = np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
-            self._legs_without_torque = np.asarray(self._torque_disabled.any(axis=1))
-            self._torque_disabled.flags.writeable = self._legs_without_torque.flags.writeable = False
-        return self._torque_disabled
+        return self._without_torque()[0]
 
     @property
     def legs_without_torque(self) -> NDArray[np.bool_]:
         """(6,) legs with at least one servo without torque."""
-        _ = self.torque_disabled
-        return self._legs_without_torque
+        return self._without_torque()[1]
+
+    def _without_torque(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return joints (6, 3) and legs (6,) without torque; both are read several times in a cycle, and seldom change."""
+        flags = self.torque.tobytes() + self._bus.errors.tobytes()
+        if flags != self._torque_flags:
+            joints = np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
+            legs = np.asarray(joints.any(axis=1))
+            joints.flags.writeable = legs.flags.writeable = False
+            self._torque_flags, self._torque_disabled = flags, (joints, legs)
+        return self._torque_disabled
 
     @property
     def unsure(self) -> NDArray[np.bool_]:

@@ -98,6 +98,21 @@ def test_revision_that_only_repeats_the_step_is_not_checked_again() -> None:
     assert not robot.accept_plan(corrected(first, T_world_odom=shear))
 
 
+def test_differences_between_repetitions_do_not_add_up_without_a_check() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.order("walk")
+    first = robot.plan()
+    assert robot.accept_plan(first)
+    robot.cycle()
+    robot.stance_now = replace(robot.stance_now, feet=FEET + np.array([0.3, 0.0, 0.0]))  # every check would fail
+    taken = []
+    for count in range(1, 11):
+        robot.now += CYCLE
+        creeping = first.touchdown + np.array([count * 0.3e-6, 0.0, 0.0])  # [m] less than rounding from one to the next
+        taken.append(robot.accept_plan(replace(first, stamp_ns=robot.now, touchdown=creeping)))
+    assert taken == [True] * 3 + [False] * 7
+
+
 def test_revision_with_more_clearance_is_refused_after_lift_off() -> None:
     robot = in_mode(Mode.WALK)
     higher = robot.renewal(clearance=np.full(6, 0.06))

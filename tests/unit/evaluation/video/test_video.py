@@ -218,9 +218,10 @@ def test_foot_is_drawn_at_its_position_in_contact_state_color(level_renderer: Re
         out = np.arctan2(*feet[leg, 1::-1])
         view = side_view(np.array([0.0, 0.0, 0.05]), out)
         u, v = np.round(pixel(view, level_renderer.size, feet[leg])).astype(int)
-        color = level_renderer.paint(figure, view)[v, u].astype(float)
+        # The foot is in the middle between two columns, so one pixel alone would depend on rounding.
+        color = level_renderer.paint(figure, view)[v - 1 : v + 2, u - 1 : u + 2].mean(axis=(0, 1))
         expected = np.array(COLORS[state][0], dtype=float)
-        assert color @ expected / np.linalg.norm(color) / np.linalg.norm(expected) > 0.95, (color, expected)
+        assert color @ expected / np.linalg.norm(color) / np.linalg.norm(expected) > 0.97, (color, expected)
         hue[state] = color / color.sum()
     assert np.abs(hue[CARRIES] - hue[SWINGS]).max() > 0.1
 
