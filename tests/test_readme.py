@@ -83,6 +83,8 @@ RUN_BY = {
     "benchmarks passage": "tests/unit/benchmarks/test_bench.py::test_passage_command_writes_table",
     "benchmarks stages": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
     "benchmarks stages --foothold": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
+    "benchmarks cycle": "tests/unit/benchmarks/test_bench_cycle.py::test_cycle_command_times_standing_and_walking",
+    "benchmarks slow-core": "tests/unit/benchmarks/test_slow_core.py::test_slow_core_command_walks",
     "benchmarks plans": "tests/unit/benchmarks/test_bench.py::test_plans_command_asks_planners_for_the_same_steps",
     "service compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
     "service install": "tests/unit/deploy/launch/test_units.py::test_service_command_installs_prints_next_step_and_uninstalls",

@@ -156,6 +156,29 @@ def bench_cycle(scenario: str, seeds: range, cycles: int, out: str | None, as_js
     return _tell_bench(actuator_cycle.in_words(found), actuator_cycle.to_json(found), folder / "cycle.json", as_json)
 
 
+@benchmarks.command("slow-core")
+@option("--scenario", "course of the walk", "NAME", default="steps")
+@option("--share", "share of a core for the actuator", "S", type=number(0.2, 1.0, "share"), default=0.2)
+@options.count("--seed", 1000, "random seed", lowest=0)
+@options.out
+@options.as_json
+def bench_slow_core(scenario: str, share: float, seed: int, out: str | None, as_json: bool) -> int:
+    """Walk live while the actuator has only a share of a core, as on a slower computer; it needs root."""
+    from benchmarks.robot import slow_core
+    from sextant.shared.scenario.scenario import load_scenario
+
+    load_scenario(scenario)  # a wrong name is reported before anything starts
+    folder = out_folder(out, "bench-slow-core")
+    folder.mkdir(parents=True, exist_ok=True)
+    warm_up(open_progress(as_json))
+    try:
+        found = slow_core.measure(scenario, seed, share, folder)
+    except slow_core.SlowCoreError as error:
+        raise CommandError(str(error)) from None
+    told = _tell_bench(slow_core.in_words(found), slow_core.to_json(found), folder / "slow-core.json", as_json)
+    return told if found.success else FAILED
+
+
 @benchmarks.command("access")
 @options.count("--messages", 10_000, "messages of each kind")
 @options.out

@@ -79,7 +79,7 @@ def measure(
     `travel_mm`, mean horizontal motion of the body in them.
 
     Args:
-        scenarios: Courses to walk, for one robot each.
+        scenarios: Courses to walk; each names its robot.
         seeds: One walk over each course for each seed.
         count: Most requests of a walk.
         plugin: Name of a step planner that is compared; empty for none.
@@ -129,7 +129,7 @@ def _checked(plugin: Plugin) -> Callable[[StepRequest], Step | NoStep]:
 
 
 class _Judge:
-    """What the steps of each planner are worth."""
+    """Counts the solved requests, accepted steps and travel of each planner."""
 
     def __init__(self, profile: RobotProfile):
         settings = ActuatorSettings()
