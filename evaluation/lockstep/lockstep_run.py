@@ -41,7 +41,7 @@ from sextant.shared.recording.foxglove.translation import Foxglove
 from sextant.shared.recording.writer import Recorder
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.runtime.lockstep import Lockstep, Outage, ServiceFailedError
+from sextant.shared.runtime.lockstep import HandOver, Lockstep, Outage, ServiceFailedError
 from sextant.shared.runtime.process_priority import keep_memory, spare_collector
 from sextant.shared.runtime.service import AnyTopic, Service
 from sextant.shared.runtime.stopwatch import stopwatch_ns
@@ -77,6 +77,7 @@ class LockstepRun:
         around: Mapping[str, Callable[[Service], Service]] | None = None,
         stop_port: str = "",
         port: type[MemoryPort] = MemoryPort,
+        hand_over: HandOver | None = None,
     ):
         """Assemble all services in this process; the actuator's port is the other end of the simulator's servo bus.
 
@@ -90,6 +91,7 @@ class LockstepRun:
             around: Service name -> function that wraps the service.
             stop_port: Run the estop process, with the latch of this port; empty: without.
             port: Class of the actuator's end of the bus.
+            hand_over: Takes the place of the codec.
         """
         keep_memory()
         if scenario.goal.passage:
@@ -133,7 +135,8 @@ class LockstepRun:
         spare_collector()
         radio = Radio(scenario.link, seed) if scenario.link.exists else None
         outages = [_outage(fault) for fault in scenario.faults_at(seed) if not fault.of_camera]
-        self._lockstep = Lockstep(makers, tap, outages=outages, busy_until={"actuator": self._busy_until}, radio=radio)
+        busy_until = {"actuator": self._busy_until}
+        self._lockstep = Lockstep(makers, tap, outages=outages, busy_until=busy_until, radio=radio, hand_over=hand_over)
 
     def now_ns(self) -> int:
         """Return the simulated time [ns]."""
@@ -208,9 +211,14 @@ def run_lockstep(
     with contextlib.ExitStack() as stack:
         # 1. Assemble the services, and a recorder of all messages.
         hear = list(taps)
+        recorder: Recorder | None = None
+        hand_over = HandOver(
+            lambda topic, at_ns: bool(taps) or (recorder is not None and bool(hear) and recorder.takes(topic, at_ns))
+        )
         if out is not None:
             clear(out)
-            recorder = stack.enter_context(_recorder(out / RECORDING, about(scenario, seed, "lockstep"), profile, warn))
+            translator = Foxglove(profile, hand_over.decode)
+            recorder = stack.enter_context(_recorder(out / RECORDING, about(scenario, seed, "lockstep"), translator, warn))
             hear += [] if recorder is None else [recorder.write]
 
         def tell(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
@@ -221,7 +229,7 @@ def run_lockstep(
                     hear.remove(hears)
                     warn(f"a recording ended early: {error}")
 
-        run = LockstepRun(scenario, seed, profile, tell, every_frame=bool(taps))
+        run = LockstepRun(scenario, seed, profile, tell, every_frame=bool(taps), hand_over=hand_over)
         # 2. Advance simulated time until the run is over.
         began_ns = stopwatch_ns()
         ended_by = _run_to_the_end(run, progress, out)
@@ -237,14 +245,14 @@ def run_lockstep(
 
 @contextlib.contextmanager
 def _recorder(
-    path: Path, said: Mapping[str, str], profile: RobotProfile, warn: Callable[[str], None]
+    path: Path, said: Mapping[str, str], translator: Foxglove, warn: Callable[[str], None]
 ) -> Iterator[Recorder | None]:
     """Yield a recorder, or None if its file cannot be written.
 
     A write error at its end only gives a warning.
     """
     try:
-        recorder = Recorder(path, said, Foxglove(profile))
+        recorder = Recorder(path, said, translator)
     except WriteError as error:
         warn(str(error))
         yield None

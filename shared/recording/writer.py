@@ -101,16 +101,20 @@ class Recorder:
         """Path of the file as text."""
         return str(self.path)
 
+    def takes(self, topic: AnyTopic, at_ns: int) -> bool:
+        """Return whether a frame of a topic with a time [ns] would be recorded."""
+        if topic in self.skipped:
+            return False
+        newest_ns = self._newest_ns.get(topic.key)
+        return newest_ns is None or at_ns - newest_ns >= self._thinned_ns.get(topic, 0)
+
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
         """Append a frame with the time [ns] at which it was sent or received.
 
         Raises:
             WriteError: The frame cannot be written; the recording has ended.
         """
-        if topic in self.skipped:
-            return
-        apart_ns = self._thinned_ns.get(topic, 0)
-        if topic.key in self._newest_ns and at_ns - self._newest_ns[topic.key] < apart_ns:
+        if not self.takes(topic, at_ns):
             return
         self._newest_ns[topic.key] = at_ns
         with self._writing():

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 from sextant.shared.errors import SextantError
-from sextant.shared.runtime.service import AnyTopic, Every, Service, ServiceRunner
+from sextant.shared.runtime.service import AnyTopic, Decode, Encode, Every, Frame, Service, ServiceRunner
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message
 
@@ -58,6 +58,54 @@ class Radio(Protocol):
         ...
 
 
+class HandOver:
+    """Hands messages over to their readers as copies, without a codec.
+
+    The copies are as `codec.decode` would return them, with the same checks, except for the size of a frame. Only frames for
+    the tap are encoded.
+    """
+
+    def __init__(self, tapped: Callable[[AnyTopic, int], bool]):
+        """Set which frames are encoded.
+
+        Args:
+            tapped: Whether the tap receives a frame of a topic that is sent at a time [ns].
+        """
+        self.tapped = tapped
+        self._shown: tuple[bytes, _Copy] | None = None  # newest frame for the tap
+
+    def frame(self, copy: "_Copy") -> bytes:
+        """Return the frame of a copy, for the tap."""
+        frame = codec.encode(copy.message, copy.timing)
+        self._shown = frame, copy
+        return frame
+
+    def decode(self, frame: Frame, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
+        """Return the message of a copy, or of the tap's newest frame; another frame is decoded.
+
+        Raises:
+            DecodeError: The message contradicts itself or has wrong values, or the frame does not decode.
+        """
+        if self._shown is not None and self._shown[0] is frame:
+            frame = self._shown[1]
+        return frame.received() if isinstance(frame, _Copy) else codec.decode(frame, kind, max_bytes)
+
+
+class _Copy:
+    """Copy of a message, which takes the place of its frame; all readers share it."""
+
+    __slots__ = ("_is_checked", "message", "timing")
+
+    def __init__(self, message: Message, timing: codec.Timing):
+        self.message, self.timing, self._is_checked = codec.as_received(message), timing, False
+
+    def received(self) -> tuple[Any, codec.Timing]:
+        if not self._is_checked:
+            codec.check_received(self.message)
+            self._is_checked = True
+        return self.message, self.timing
+
+
 class Lockstep:
     """Runs services in one process on simulated time, deterministically.
 
@@ -73,6 +121,7 @@ class Lockstep:
         outages: Sequence[Outage] = (),
         busy_until: Mapping[str, Callable[[], int]] | None = None,
         radio: Radio | None = None,
+        hand_over: HandOver | None = None,
     ):
         """Make the services.
 
@@ -83,6 +132,7 @@ class Lockstep:
             outages: Outages of services.
             busy_until: Name -> function that returns until when [ns] the service is busy. A busy service skips its beats.
             radio: Link between services on two machines.
+            hand_over: Takes the place of the codec; without effect where a radio needs the sizes of frames.
 
         Raises:
             ValueError: An outage of an unknown service, or a latency of an unknown topic.
@@ -100,12 +150,14 @@ class Lockstep:
         self._outages: dict[str, list[Outage]] = {name: [] for name in makers}
         self._busy_until = busy_until or {}
         self._radio = radio
-        self._decode = _DecodedOnce()
+        self._hand_over = hand_over if radio is None else None
+        self._encode: Encode = codec.encode if self._hand_over is None else _Copy
+        self._decode: Decode = _DecodedOnce() if self._hand_over is None else self._hand_over.decode
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._sequence = 0
         self._workers: dict[str, ServiceRunner] = {}
         self._readers: dict[str, list[str]] = {}
-        self._sent: list[tuple[AnyTopic, bytes]] = []  # frames of the current step, for the tap
+        self._sent: list[tuple[AnyTopic, Frame]] = []  # frames of the current step, for the tap
         for order, name in enumerate(makers):
             self._start(name)
             pace = self._workers[name].service.trigger
@@ -130,7 +182,7 @@ class Lockstep:
 
         Give `topic` for a role other than the robot.
         """
-        frame = codec.encode(message, codec.Timing(self.now_ns, self.now_ns))
+        frame = self._encode(message, codec.Timing(self.now_ns, self.now_ns))
         self._send("", topic or topics.OF_TYPE[type(message)], frame)
         self._show()
 
@@ -155,6 +207,7 @@ class Lockstep:
             self._wanted,
             self._decode,
             robot_time=True,
+            encode=self._encode,
         )
         self._workers[name] = worker
         for topic in worker.subscribes:
@@ -177,7 +230,10 @@ class Lockstep:
     def _show(self) -> None:
         sent, self._sent = self._sent, []
         for topic, frame in sent:
-            self._tap(topic, frame, self.now_ns)
+            if self._hand_over is None:
+                self._tap(topic, frame, self.now_ns)
+            elif self._hand_over.tapped(topic, self.now_ns):
+                self._tap(topic, self._hand_over.frame(frame), self.now_ns)
 
     def _wanted(self, topic: AnyTopic) -> bool:
         return bool(self._readers.get(topic.key))
@@ -204,7 +260,7 @@ class Lockstep:
 
         self._schedule(0, order, beat)
 
-    def _send(self, sender: str, topic: AnyTopic, frame: bytes) -> None:
+    def _send(self, sender: str, topic: AnyTopic, frame: Frame) -> None:
         self._sent.append((topic, frame))
         readers = self._readers.get(topic.key)
         if not readers:
@@ -219,7 +275,7 @@ class Lockstep:
         if there_ns is not None:
             self._schedule(there_ns, -1, lambda: self._deliver(topic, frame, far))
 
-    def _deliver(self, topic: AnyTopic, frame: bytes, readers: Iterable[str]) -> None:
+    def _deliver(self, topic: AnyTopic, frame: Frame, readers: Iterable[str]) -> None:
         for name in readers:
             outage = self._outage(name)
             if outage is not None and outage.kill:

@@ -1,7 +1,7 @@
 """Service protocol, inbox and worker.
 
 A service is a plain object that turns input messages into output messages. It declares what triggers its step, which topics it
-reads and which it writes; a runner transports the messages. Two runners use the same service objects and encoded frames:
+reads and which it writes; a runner transports the messages. Two runners use the same service objects and frames:
 `zenoh_runner` in real time and `lockstep` in simulated time.
 """
 
@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -118,10 +118,14 @@ class _Ring:
         return p50, p99
 
 
+Frame: TypeAlias = Any  # bytes; a runner may have another form for messages that stay in its process
+Encode: TypeAlias = Callable[[Message, codec.Timing], Frame]
+
+
 class Decode(Protocol):
     """Function that decodes frames, such as `codec.decode`."""
 
-    def __call__(self, frame: bytes, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
+    def __call__(self, frame: Frame, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
         """Decode a frame as a message of one type, or raise DecodeError."""
         ...
 
@@ -152,15 +156,15 @@ class Inbox:
         self._decode = decode
         self._robot_time = robot_time  # whether arrival times are by the robot's clock, as stamps are
         self._reads = {topic.key: topic for topic in subscribes}
-        self._frames: dict[str, deque[tuple[bytes, int]]] = {}
+        self._frames: dict[str, deque[tuple[Frame, int]]] = {}
         for topic in subscribes:
             length = 1 if topic.delivery is Delivery.LATEST else QUEUE_LENGTH
             self._frames[topic.key] = deque(maxlen=length)
         self._newest: dict[str, tuple[Message, int]] = {}
-        self._fetch: dict[str, Callable[[], list[bytes]]] = {}
+        self._fetch: dict[str, Callable[[], list[Frame]]] = {}
         self._lock = threading.Lock()
 
-    def receive(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+    def receive(self, topic: AnyTopic, frame: Frame, at_ns: int) -> None:
         """Store a received frame; a runner calls this from any thread."""
         with self._lock:
             queue = self._frames[topic.key]
@@ -168,7 +172,7 @@ class Inbox:
                 self.dropped += topic.delivery is Delivery.EVERY
             queue.append((frame, at_ns))
 
-    def fetch(self, topic: AnyTopic, come: Callable[[], list[bytes]]) -> None:
+    def fetch(self, topic: AnyTopic, come: Callable[[], list[Frame]]) -> None:
         """Fetch the frames of a topic with `come` when it is read, in place of `receive`."""
         self._fetch[topic.key] = come
 
@@ -283,7 +287,7 @@ class ServiceRunner:
     def __init__(
         self,
         service: Service,
-        send: Callable[[AnyTopic, bytes, int], None],
+        send: Callable[[AnyTopic, Frame, int], None],
         clock: Callable[[], int],
         wanted: Callable[[AnyTopic], bool] = lambda _: True,
         decode: Decode = codec.decode,
@@ -292,6 +296,7 @@ class ServiceRunner:
         role: str = "robot",
         hold: Callable[[int | None], object] = lambda _limit_ns: None,
         robot_time: bool = False,
+        encode: Encode = codec.encode,
     ):
         self.service = service
         self._health_topic = topics.HEALTH_OF[role]  # of the machine's role; other roles may not publish there
@@ -307,7 +312,7 @@ class ServiceRunner:
             dict.fromkeys([*([] if isinstance(service.trigger, Every) else [service.trigger]), *service.subscribes])
         )
         self.inbox = Inbox(self.subscribes, service.stages, wanted, decode, self.ages, robot_time)
-        self._send = send
+        self._send, self._encode = send, encode
         self._clock = clock
         self._writes = set(service.publishes)
         self._steps = 0
@@ -340,7 +345,7 @@ class ServiceRunner:
                 topic = topics.OF_TYPE.get(type(made))
                 if topic is None or topic not in self._writes:
                     raise ValueError(f"{self.service.name} returned a {type(made).__name__}, which is not in its `publishes`")
-                self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
+                self._send(topic, self._encode(made, codec.Timing(began_ns, self._clock())), began_ns)
         self._steps += 1
         self._stepped_ns = began_ns
         if self._max_age_s:
@@ -387,7 +392,7 @@ class ServiceRunner:
             input_late_share=np.array([age.late for age in ages], dtype=np.float64),
             missed_ticks=self._missed_beats,
         )
-        self._send(self._health_topic, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
+        self._send(self._health_topic, self._encode(health, codec.Timing(now_ns, self._clock())), now_ns)
 
     def _starved(self, now_ns: int) -> str:
         """Return a text if the trigger topic is silent for too long, or an empty text."""

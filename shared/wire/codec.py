@@ -127,12 +127,39 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
         message = kind(*decoded)
     except ValueError as error:
         raise DecodeError(str(error)) from None
-    if problem := message.contradiction():
-        raise DecodeError(f"{kind.__name__}: {problem}")
-    for where, check, index in layout.claims:
-        if problem := check(decoded[index]):
-            raise DecodeError(f"{where}: {problem}")
+    check_received(message)
     return message, Timing(began_ns, sent_ns)
+
+
+def as_received(message: M) -> M:
+    """Return a copy of a message, as `decode` returns it: with plain values, and read-only arrays of its own.
+
+    `check_received` checks its values.
+    """
+    kind = type(message)
+    made = object.__new__(kind)
+    for field in _layout(kind).fields:
+        value = getattr(message, field.name)
+        if field.dtype:
+            value = np.array(value, order="C")
+            value.flags.writeable = False
+        elif field.plain is not None:
+            value = field.plain(value)
+        object.__setattr__(made, field.name, value)
+    return made
+
+
+def check_received(message: Message) -> None:
+    """Check what a message's constructor does not check.
+
+    Raises:
+        DecodeError: Fields contradict each other, a pose is not rigid, or a number is too large.
+    """
+    if problem := message.contradiction():
+        raise DecodeError(f"{type(message).__name__}: {problem}")
+    for where, check, name in _layout(type(message)).claims:
+        if problem := check(getattr(message, name)):
+            raise DecodeError(f"{where}: {problem}")
 
 
 def label(frame: bytes) -> Label:
@@ -155,6 +182,7 @@ class _Field:
     dtype: str  # of an array, in the notation of NumPy's array interface; empty for other fields
     decode: _FieldDecoder
     packed: bool = False
+    plain: Callable[[Any], Any] | None = None  # makes a plain value as decoding does; None if it leaves the value as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +194,7 @@ class _Layout:
 
     schema_id: str
     fields: tuple[_Field, ...]
-    claims: tuple[tuple[str, Callable[[Any], str], int], ...]  # name of a field, check of its value, index of the field
+    claims: tuple[tuple[str, Callable[[Any], str], str], ...]  # full name of a field, check of its value, its name
 
 
 _LAYOUTS: dict[type[Message], _Layout] = {}
@@ -177,10 +205,10 @@ def _layout(kind: type[Message]) -> _Layout:
     if known is None:
         fields = schema(kind)
         declaration = repr([(name, str(base), str(detail)) for name, base, detail in fields])
-        name = f"{kind.__name__}:{hashlib.blake2s(declaration.encode(), digest_size=4).hexdigest()}"
-        checks = [(f"{kind.__name__}.{field[0]}", _claim_check(*field[1:]), k) for k, field in enumerate(fields)]
-        claims = tuple((where, check, k) for where, check, k in checks if check is not None)
-        known = _LAYOUTS[kind] = _Layout(name, tuple(_field(kind, *field) for field in fields), claims)
+        hashed = f"{kind.__name__}:{hashlib.blake2s(declaration.encode(), digest_size=4).hexdigest()}"
+        checks = [(f"{kind.__name__}.{field[0]}", _claim_check(*field[1:]), field[0]) for field in fields]
+        claims = tuple((where, check, name) for where, check, name in checks if check is not None)
+        known = _LAYOUTS[kind] = _Layout(hashed, tuple(_field(kind, *field) for field in fields), claims)
     return known
 
 
@@ -226,7 +254,16 @@ def _field(kind: type[Message], name: str, base: Any, detail: Any) -> _Field:
         if dims.packed:
             return _Field(name, dtype.str, _packed_decoder(where, dtype, len(dims.shape)), packed=True)
         return _Field(name, dtype.str, _array_decoder(where, dtype, len(dims.shape)))
-    return _Field(name, "", _value_decoder(where, base))
+    return _Field(name, "", _value_decoder(where, base), plain=_plain(base))
+
+
+def _plain(base: Any) -> Callable[[Any], Any] | None:
+    """Return the function that converts a value to the type that decoding gives it, or None."""
+    if base is bool:
+        return None
+    if base is tuple:
+        return lambda value: tuple(map(str, value))
+    return base if isinstance(base, type) else str  # a number, a text or an enumeration; a choice is a text
 
 
 def pack_values(values: list[Any]) -> bytes:

@@ -13,7 +13,7 @@ from sextant.shared.recording.foxglove import ground, numbers, robot
 from sextant.shared.recording.foxglove.parts import time
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.health_table import HealthTable
-from sextant.shared.runtime.service import AnyTopic
+from sextant.shared.runtime.service import AnyTopic, Decode
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import (
     ActuatorState,
@@ -39,9 +39,9 @@ _SERVICES_NS = 1_000_000_000  # [ns] between two checks for silent services
 class Foxglove:
     """Translates frames to Foxglove messages, large ones at a reduced rate."""
 
-    def __init__(self, profile: RobotProfile):
-        """Start with the profile of the robot, before any message."""
-        self._profile = profile
+    def __init__(self, profile: RobotProfile, decode: Decode = codec.decode):
+        """Start with the profile of the robot and a decoder of frames, before any message."""
+        self._profile, self._decode = profile, decode
         self._T_world_odom = np.eye(4)
         self._due_ns: dict[str, int] = {}
         self._event_log = EventLog()
@@ -75,7 +75,7 @@ class Foxglove:
             return ()
         told: list[Told] = []
         try:
-            message, _ = codec.decode(frame, topic.type, topic.max_bytes)
+            message, _ = self._decode(frame, topic.type, topic.max_bytes)
         except codec.DecodeError as error:
             self._event_log.note(at_ns, "recorder", f"{topic.key}: {error}", bad=True)
         else:

@@ -18,6 +18,7 @@ from sextant.evaluation.trials.trials import run_trials
 from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.lockstep import HandOver
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.scenario.scenario import Fault, Goal, Plane, Scenario
 from sextant.shared.wire import topics
@@ -29,7 +30,9 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 @cache
-def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: bool = True) -> tuple[tuple[str, bytes, int], ...]:
+def frames(
+    seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: bool = True, encoded: bool = True
+) -> tuple[tuple[str, bytes, int], ...]:
     """Return all frames of a run except health, which contains durations."""
     heard: list[tuple[str, bytes, int]] = []
 
@@ -37,7 +40,8 @@ def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: boo
         if topic is not topics.HEALTH:
             heard.append((topic.key, frame, at_ns))
 
-    LockstepRun(scenario, seed, PROFILE, tap, every_frame=every_frame).run(until_ns)
+    hand_over = None if encoded else HandOver(lambda _topic, _at_ns: True)
+    LockstepRun(scenario, seed, PROFILE, tap, every_frame=every_frame, hand_over=hand_over).run(until_ns)
     return tuple(heard)
 
 
@@ -50,6 +54,11 @@ def test_skipping_unused_depth_frames_changes_nothing_else() -> None:
     others = [[frame for frame in heard if frame[0] != topics.DEPTH.key] for heard in (every, used)]
     assert any(key == topics.SCAN.key for key, _, _ in others[0])
     assert others[0] == others[1]
+
+
+@pytest.mark.slow
+def test_handing_messages_over_changes_no_frame() -> None:
+    assert frames(3, 3 * S, every_frame=False, encoded=False) == frames(3, 3 * S, every_frame=False)
 
 
 @pytest.mark.slow

@@ -2,15 +2,16 @@
 
 import pickle
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from sextant.shared.runtime.lockstep import Lockstep, Outage, ServiceFailedError
+from sextant.shared.runtime.lockstep import HandOver, Lockstep, Outage, ServiceFailedError
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import Message, ModeCommand, PlannerStatus, Tick
+from sextant.shared.wire.messages import Message, ModeCommand, PlannerStatus, Tick, VelocityCommand
 from tests.support.scripted_service import Scripted, order, status, velocity
 
 MS = 1_000_000
@@ -74,6 +75,63 @@ def test_shared_message_is_decoded_once_and_read_only() -> None:
         assert at_planner is at_mapper
         with pytest.raises(ValueError, match="read-only"):
             at_planner.velocity[0] = 1.0
+
+
+def test_messages_handed_over_are_copies_that_readers_share() -> None:
+    sent: list[VelocityCommand] = []
+
+    def act(tick: Tick, _: Inbox) -> Iterator[Message]:
+        sent.append(velocity(tick.stamp_ns))
+        yield sent[-1]
+        sent[-1].velocity[:] = np.nan  # the sender may use its array again
+
+    makers = {
+        "console": lambda: Scripted("console", Every(10 * MS), publishes=(VELOCITY,), act=act),
+        "planner": planner,
+        "mapper": lambda: Scripted("mapper", VELOCITY),
+    }
+    run = Lockstep(makers, hand_over=HandOver(lambda _topic, _at_ns: False))
+    run.run(50 * MS)
+    pairs = list(zip(seen(run), seen(run, "mapper"), strict=True))
+    assert len(pairs) > 3
+    for (_, at_planner), (_, at_mapper) in pairs:
+        assert at_planner is at_mapper
+        np.testing.assert_array_equal(at_planner.velocity, velocity().velocity)
+        with pytest.raises(ValueError, match="read-only"):
+            at_planner.velocity[0] = 1.0
+
+
+def test_handing_over_gives_the_tap_the_same_frames() -> None:
+    (encoded, frames), (handed, same), (few, some) = (
+        system(),
+        system(hand_over=HandOver(lambda _topic, _at_ns: True)),
+        system(hand_over=HandOver(lambda topic, at_ns: topic is STATUS and at_ns > 50 * MS)),
+    )
+    for run in (encoded, handed, few):
+        run.run(100 * MS)
+    assert frames.frames == same.frames
+    assert some.frames == [frame for frame in frames.frames if frame[0] == STATUS.key and frame[2] > 50 * MS]
+
+
+def test_message_handed_over_is_refused_as_its_frame_would_be() -> None:
+    def refused(hand_over: HandOver | None) -> list[tuple[int, str]]:
+        found: list[tuple[int, str]] = []
+
+        def read(_: Tick, box: Inbox) -> Iterable[Message]:
+            assert box.latest(VELOCITY) is None
+            found.append((box.refused, box.last_refusal))
+            return ()
+
+        makers = {
+            "console": lambda: Scripted("console", Every(10 * MS), publishes=(VELOCITY,), act=lambda _t, _b: [too_fast]),
+            "planner": lambda: Scripted("planner", Every(10 * MS), subscribes=(VELOCITY,), act=read),
+        }
+        Lockstep(makers, hand_over=hand_over).run(50 * MS)
+        return found
+
+    too_fast = replace(velocity(), yaw_rate=1e13)
+    assert refused(HandOver(lambda _topic, _at_ns: False)) == refused(None)
+    assert refused(None)[-1][0] > 3
 
 
 def test_latency_is_configurable() -> None:

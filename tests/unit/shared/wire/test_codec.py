@@ -168,6 +168,25 @@ def test_decoded_arrays_are_read_only_views_of_frame(kind: type[Message]) -> Non
                 array.flat[0] = 0
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_copy_equals_decoded_message(kind: type[Message]) -> None:
+    message = example(kind)
+    copy, decoded = codec.as_received(message), codec.decode(codec.encode(message), kind)[0]
+    assert_equal(copy, decoded)
+    for name, _, _ in m.schema(kind):
+        value = getattr(copy, name)
+        assert type(value) is type(getattr(decoded, name)), name
+        if isinstance(value, np.ndarray):
+            assert not np.shares_memory(value, getattr(message, name))
+            assert not value.flags.writeable
+            assert value.flags.c_contiguous
+
+
+def test_copy_has_plain_values() -> None:
+    message = dataclasses.replace(example(m.Odometry), path_length=np.float64(0.5))  # type: ignore[call-arg]
+    assert type(codec.as_received(message).path_length) is float  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize(
     "array", [np.arange(12, dtype=np.uint16).reshape(3, 4).T, np.arange(24, dtype=np.uint16).reshape(4, 6)[::2, ::-2]]
 )
@@ -258,8 +277,10 @@ def test_pose_far_from_origin_is_refused() -> None:
     ],
 )
 def test_too_large_number_is_refused(kind: type[Message], changes: dict[str, Any]) -> None:
-    frame = codec.encode(dataclasses.replace(example(kind), **changes))
-    assert f"at most {codec.MAX_NUMBER:g} expected" in refusal(frame, kind)
+    message = dataclasses.replace(example(kind), **changes)
+    assert f"at most {codec.MAX_NUMBER:g} expected" in refusal(codec.encode(message), kind)
+    with pytest.raises(codec.DecodeError, match="at most"):
+        codec.check_received(codec.as_received(message))
     codec.decode(codec.encode(dataclasses.replace(example(m.BodyPose), covariance=np.full((6, 6), 1e12))), m.BodyPose)  # type: ignore[call-arg]
 
 
