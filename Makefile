@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
 BIN := $(VENV)/bin
-LIVE := tests/live tests/test_commissioning.py tests/unit/benchmarks/test_bench_start.py
+LIVE := tests/live tests/test_commissioning.py tests/unit/benchmarks/test_bench_start.py tests/unit/benchmarks/test_slow_core.py
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 # Without a network pip would try again and again, and so would the pip that it starts to build with.
 export PIP_RETRIES ?= 1

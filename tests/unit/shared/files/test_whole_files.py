@@ -168,6 +168,7 @@ def test_optional_write_failure_is_a_warning() -> None:
 APART = {
     "benchmarks/net_testbed/namespace.py": "the kernel's own files",
     "benchmarks/robot/link.py": "a folder that is removed at the end",
+    "benchmarks/robot/slow_core.py": "the kernel's own files, and a log, line by line",
     "benchmarks/robot/soak.py": "a folder that is removed at the end",
     "benchmarks/fuzz/file_targets.py": "a folder that is removed at the end",
     "benchmarks/fuzz/fuzzing.py": "the newest message, for when it ends the process",
