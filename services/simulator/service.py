@@ -91,6 +91,7 @@ class Simulator:
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
         self._bank = self._switch_on(profile, scenario, seeds[5])
+        self._bank.set_joint_state(*self._joints())
         self.bus = self._wired(scenario)
         self.device: Board | BusFaults = Board(self.bus) if settings.bridge else self.bus  # device at the actuator's port
         self._adapter_port = self.bus.adapter_port(0)
@@ -215,15 +216,15 @@ class Simulator:
     def _physics(self, now_ns: int) -> None:
         world = self.world
         self.device.advance(now_ns)
-        command = self._bank.step(*self._joints(), _DT)
+        command = self._bank.advance(_DT)
         setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns)
         world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3))
         self._bank.set_joint_state(*self._joints(), now_ns + TIME_STEP_NS)
 
     def _joints(self) -> tuple[Array, Array, Array]:
         """Return angles [rad], speeds [rad/s] and torques [N m] of the servos, each (18,)."""
-        world, signs = self.world, self._signs
-        return (signs * world.q + self._horns).ravel(), (signs * world.qd).ravel(), (signs * world.torque).ravel()
+        (q, qd, torque), signs = self.world.joints, self._signs
+        return (signs * q + self._horns).ravel(), (signs * qd).ravel(), (signs * torque).ravel()
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """Yield the messages of camera, IMU and ground truth that are due."""

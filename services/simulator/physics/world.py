@@ -149,7 +149,7 @@ class World:
         if len(self._sunk):
             self._give_way(steps * TIME_STEP_NS / 1e9)
         # One velocity is enough, because a NaN spreads to all joints within a step.
-        if not abs(self._qvel[0]) < 1e3 or self._warnings.any():
+        if not abs(self._qvel[0]) < 1e3 or self._warnings.tobytes().strip(b"\0"):
             raise PhysicsError(f"{self._fault()} at {self.time_ns / 1e9:.3f} s; check the commands before that time")
 
     def _fault(self) -> str:
@@ -181,6 +181,11 @@ class World:
     def time_ns(self) -> int:
         """Simulated time [ns] since the world was built."""
         return self._steps * TIME_STEP_NS
+
+    @property
+    def joints(self) -> tuple[Array, Array, Array]:
+        """Views of `q`, `qd` and `torque`, which change at the next step."""
+        return self._q, self._qd, self._torque
 
     @property
     def q(self) -> Array:

@@ -6,9 +6,9 @@ to the bank. The bank returns the servos' position controllers: setpoint, stiffn
 Not emulated: wheel mode (both angle limits 0; torque is off in it), and punch, which about cancels the friction of the gear.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,17 +104,6 @@ class ServoCommand:
     torque_limit: Array  # (n,) [N m] 0 with torque off
 
 
-class _ProtectionLimits(NamedTuple):
-    """`Protection` for the compiled function, with limits that tolerate rounding."""
-
-    stall_duty: float  # [1]
-    stall_time: float  # [s]
-    max_duty_integral: float  # [s] maximum integral of the duty over the sliding window
-    ambient: float  # [deg C]
-    cooling_time: float  # [s]
-    heating: float  # [K/s] at a duty of 1
-
-
 @compiled
 def _update_heat(
     load: Array,
@@ -125,7 +114,12 @@ def _update_heat(
     duty_sum: Array,
     tripped: NDArray[np.uint8],
     dt: float,
-    limits: _ProtectionLimits,
+    stall_duty: float,
+    stall_time: float,
+    max_duty_integral: float,
+    ambient: float,
+    cooling_time: float,
+    heating: float,
 ) -> tuple[float, bool]:
     """Update temperature and overload of n servos by one physics step, in place.
 
@@ -138,7 +132,12 @@ def _update_heat(
         duty_sum: (n,) [s] the same over all other slices.
         tripped: (n,) error bits whose conditions are met, overwritten.
         dt: [s] duration of the step.
-        limits: Parameters of the protection.
+        stall_duty: [1] duty from which a servo stalls.
+        stall_time: [s] of a stall after which it trips.
+        max_duty_integral: [s] maximum integral of the duty over the sliding window.
+        ambient: [deg C].
+        cooling_time: [s] time constant.
+        heating: [K/s] at a duty of 1.
 
     Returns:
         The sum of the duties, and whether any servo trips.
@@ -147,11 +146,11 @@ def _update_heat(
     for i in range(load.size):
         duty = abs(load[i])
         total += duty
-        temperature[i] += dt * ((limits.ambient - temperature[i]) / limits.cooling_time + limits.heating * duty * duty)
-        stalled_for[i] = stalled_for[i] + dt if duty >= limits.stall_duty else 0.0
+        temperature[i] += dt * ((ambient - temperature[i]) / cooling_time + heating * duty * duty)
+        stalled_for[i] = stalled_for[i] + dt if duty >= stall_duty else 0.0
         bucket[i] += dt * duty
         bits = 0
-        if stalled_for[i] >= limits.stall_time or duty_sum[i] + bucket[i] > limits.max_duty_integral:
+        if stalled_for[i] >= stall_time or duty_sum[i] + bucket[i] > max_duty_integral:
             bits |= _OVERLOAD
         if temperature[i] > temperature_limit[i]:
             bits |= _HOT
@@ -163,23 +162,40 @@ def _update_heat(
 @compiled
 def _measure(
     units: tuple[float, ...],
+    after: float,
+    stall_torque: float,
     q: Array,
     qd: Array,
     load: Array,
-    position: NDArray[np.uint16],
-    speed: NDArray[np.uint16],
-    effort: NDArray[np.uint16],
+    setpoint: Array,
+    stiffness: Array,
+    torque_limit: Array,
+    temperature: Array,
+    goal: Array,
+    ramp: Array,
+    torque_off: NDArray[np.bool_],
+    words: NDArray[np.uint16],
+    temperatures: NDArray[np.uint8],
+    moving: NDArray[np.uint8],
 ) -> None:
-    """Write measured values of n servos to their registers.
+    """Write what n servos measure `after` [s] a physics step to their registers.
 
-    The position is clipped; speed and load are magnitude and sign bit.
+    Angles and loads are extrapolated: the load is that of the motor at the extrapolated angle. With `after` NaN they are those
+    of the step. The position is clipped; speed and load are magnitude and sign bit.
     """
     centre, tick, last_tick, speed_unit, load_unit, clockwise = units
     for i in range(q.size):
-        position[i] = np.uint16(min(max(np.rint(centre + q[i] / tick), 0.0), last_tick))
-        for value, unit, register in ((qd[i], speed_unit, speed), (load[i], load_unit, effort)):
+        angle, share = q[i], load[i]
+        if not np.isnan(after):
+            angle = angle + after * qd[i]
+            torque = stiffness[i] * (setpoint[i] - angle)
+            share = min(max(torque, -torque_limit[i]), torque_limit[i]) / stall_torque
+        words[i, 0] = np.uint16(min(max(np.rint(centre + angle / tick), 0.0), last_tick))
+        for k, value, unit in ((1, qd[i], speed_unit), (2, share, load_unit)):
             size = min(np.rint(abs(value) / unit), clockwise - 1.0)
-            register[i] = np.uint16(size + clockwise if value < 0.0 and size > 0.0 else size)
+            words[i, k] = np.uint16(size + clockwise if value < 0.0 and size > 0.0 else size)
+        temperatures[i] = np.uint8(min(max(np.rint(temperature[i]), 0.0), 255.0))
+        moving[i] = abs(goal[i] - ramp[i]) > tick and not torque_off[i]
 
 
 @compiled
@@ -257,7 +273,7 @@ class ServoBank:
         self.protection = protection or Protection()
         p = self.protection
         stalls, most = (p.stall_duty - _EPS, p.stall_time - _EPS), (p.mean_duty + _EPS) * p.mean_time
-        self._protection_limits = _ProtectionLimits(*stalls, most, p.ambient, p.cooling_time, p.heating)
+        self._protection_limits = (*stalls, most, p.ambient, p.cooling_time, p.heating)  # they tolerate rounding
         self.supply = supply or Supply()
         self.charge = charge  # of the battery, 0 to 1
         self.current = 0.0  # [A] drawn in the last step
@@ -269,6 +285,11 @@ class ServoBank:
         self._torque_limits = self._column(dxl.TORQUE_LIMIT)
         self._torque_limits[:] = self._column(dxl.MAX_TORQUE)
         self._goals = self._column(dxl.GOAL_POSITION)
+        first = dxl.PRESENT_POSITION.address // 2
+        self._measured_words = self._words[:, first : first + 3]  # (n, 3) position, speed, load
+        self._measured_voltage = self.tables[:, dxl.PRESENT_VOLTAGE.address]
+        self._measured_temperature = self.tables[:, dxl.PRESENT_TEMPERATURE.address]
+        self._moving = self.tables[:, dxl.MOVING.address]
 
         start = self.protection.ambient if temperature is None else temperature
         self.temperature: Array = np.full(n, start)  # (n,) [deg C]
@@ -387,6 +408,10 @@ class ServoBank:
             The position controllers for the next physics step.
         """
         self.set_joint_state(q, qd, torque)
+        return self.advance(dt)
+
+    def advance(self, dt: float) -> ServoCommand:
+        """Advance the servos by one physics step `dt` [s], from the joint state that was set last."""
         if self._has_faults:
             self._apply_faults(dt)
         if self._goals_changed:
@@ -425,7 +450,7 @@ class ServoBank:
         p = self.protection
         duty_sum, tripped = _update_heat(
             self._load, self.temperature, self._temperature_limit, self._stalled_for, self._buckets[self._bucket],
-            self._duty_sum, self._tripped, dt, self._protection_limits,
+            self._duty_sum, self._tripped, dt, *self._protection_limits,
         )  # fmt: skip
         self._bucket_time += dt
         if self._bucket_time >= p.mean_time / _BUCKETS - _EPS:
@@ -507,35 +532,29 @@ class ServoBank:
         """Return one register of all servos, as a view of the tables."""
         return self.tables[:, register.address] if register.size == 1 else self._words[:, register.address // 2]
 
-    def _extrapolated(self, s: float) -> tuple[Array, Array, Array]:
-        """Return angles (n,) [rad], speeds (n,) [rad/s] and loads (n,) [1] at `s` [s] after the last step.
-
-        The load is that of the motor at the extrapolated angle. If the bus time of the step is unknown, the result is the state
-        that was set last, whose torques are those at the beginning of the step.
-        """
-        if self._at_ns is None:
-            return self._q, self._qd, self._load
-        q, out = self._q + s * self._qd, self._out
-        torque = np.clip(out.stiffness * (out.setpoint - q), -out.torque_limit, out.torque_limit)
-        return q, self._qd, torque / self.motor.stall_torque
-
     def _position_ticks(self, row: int) -> int:
         return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)
 
     def _write_measured(self, after_ns: int) -> None:
-        """Write what all servos measure at `after_ns` [ns] after the last physics step to their tables."""
+        """Write what all servos measure at `after_ns` [ns] after the last physics step to their tables.
+
+        If the bus time of the step is unknown, they measure the state that was set last, whose torques are those at the
+        beginning of the step.
+        """
         self._measured, self._measured_after_ns = True, after_ns
-        words = [self._words[:, r.address // 2] for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
-        position, before = words[0], words[0].copy() if self._has_faults else None
-        _measure(_UNITS, *self._extrapolated(after_ns * 1e-9), *words)
+        words, faults, out = self._measured_words, self._active_faults, self._out
+        before = words[:, 0].copy() if self._has_faults else None
+        _measure(
+            _UNITS, math.nan if self._at_ns is None else after_ns * 1e-9, self.motor.stall_torque, self._q, self._qd,
+            self._load, out.setpoint, out.stiffness, out.torque_limit, self.temperature, self._goal, self._setpoint,
+            self._torque_off, words, self._measured_temperature, self._moving,
+        )  # fmt: skip
+        self._measured_voltage[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
         if before is not None:
-            off = np.clip(position + self._active_faults.offset, 0, dxl.TICK_MAX)
-            position[:] = np.where(self._active_faults.frozen, before, off)
-        self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
-        temperature = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
-        reads = self._active_faults.reads_hot if before is not None else -1
-        self._column(dxl.PRESENT_TEMPERATURE)[:] = np.where(reads >= 0, reads, temperature)
-        self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._torque_off
+            off = np.clip(words[:, 0] + faults.offset, 0, dxl.TICK_MAX)
+            words[:, 0] = np.where(faults.frozen, before, off)
+            hot = faults.reads_hot >= 0
+            self._measured_temperature[hot] = faults.reads_hot[hot]
 
 
 def make_servo_bank(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = Supply().capacity_ah) -> ServoBank:

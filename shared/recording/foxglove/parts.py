@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from sextant.shared.geometry import Array, quaternion_from_rotation
+from sextant.shared.geometry import Array, quaternion_of_rows
 
 Rgba = tuple[float, float, float, float]
 
@@ -26,8 +26,9 @@ def time(stamp_ns: int) -> Timestamp:
 
 def pose(T: Array) -> Pose:
     """Return the Pose of a rigid transform (4, 4)."""
-    w, x, y, z = (float(v) for v in quaternion_from_rotation(T[:3, :3]))
-    return Pose(position=vector(T[:3, 3]), orientation=Quaternion(x=x, y=y, z=z, w=w))
+    rows = T[:3].tolist()
+    w, x, y, z = quaternion_of_rows(rows)
+    return Pose(position=Vector3(x=rows[0][3], y=rows[1][3], z=rows[2][3]), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
 def place(p: Sequence[float] | Array) -> Pose:
