@@ -8,6 +8,7 @@ encoding, from the incoming frame to the outgoing layers.
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -281,9 +282,9 @@ def _rastered(points: Array, centre: Array) -> Array:
 
 
 class _Services:
-    """Perception and mapper with encoded messages.
+    """Perception and mapper on one machine, with encoded messages.
 
-    A map is computed for each frame.
+    A map is computed for each frame. Previews are left out: they are made after the scan is sent.
     """
 
     def __init__(self, profile: RobotProfile):
@@ -293,7 +294,13 @@ class _Services:
         perception.stages, mapper.stages = _CoreStages(), _CoreStages()
         self._now_ns = 0
         self._mapper = ServiceRunner(mapper, self._done, lambda: self._now_ns)
-        self._perception = ServiceRunner(perception, self._to_mapper, lambda: self._now_ns)
+        self._perception = ServiceRunner(
+            perception,
+            self._to_mapper,
+            lambda: self._now_ns,
+            wanted=lambda topic: topic is not topics.PREVIEW,
+            encode=partial(codec.encode, packs=False),
+        )
         self._layers = b""
 
     def run(self, odometry: bytes, image: bytes, now_ns: int) -> bytes:

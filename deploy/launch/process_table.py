@@ -182,6 +182,7 @@ TABLE: tuple[Process, ...] = (
 
 
 ON_ROBOT = frozenset(p.name for p in TABLE if p.side == "device" or p.name in ("actuator", "stop"))  # never on another machine
+_SCANS_AND_MAPS = {"perception", "mapper"}  # they pack arrays, unless their readers run on the same machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,6 +346,7 @@ def commands(
                     *_giving_way(p),
                     *away,
                     *shared_time,
+                    *(("--unpacked",) if p.name in _SCANS_AND_MAPS and started >= _SCANS_AND_MAPS | {"planner"} else ()),
                 ),
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),

@@ -69,7 +69,7 @@ class Perception:
         return f"{self._words}; {carries}"
 
     def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
-        """Register every n-th frame and publish its pose and scan.
+        """Register every n-th frame and publish its pose and scan, and then a preview.
 
         Leg odometry carries the pose between these frames.
         """
@@ -82,7 +82,11 @@ class Perception:
         if self._frames % self._every:
             self._keep_for_color(image)
             return
+        yield from self._pose_and_scan(image, inbox)
         yield from self._preview(image, inbox)
+
+    def _pose_and_scan(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
+        """Register a frame, and yield its pose and its scan."""
         if self._check.is_late(image.stamp_ns):
             self._words = "the camera's frames arrive out of order; late frames are skipped"
             return

@@ -111,7 +111,7 @@ def run(
             return 1
         try:  # a ValueError in this block is a bug and ends in a traceback
             role = arguments.role if keys is None else keys.role.name
-            run_live(service, link, told.event, watchdog.beat, ahead_s, role, robot_time=True)
+            run_live(service, link, told.event, watchdog.beat, ahead_s, role, robot_time=True, packs=not arguments.unpacked)
         except (clock.ClockError, PluginError) as error:
             logging.error("%s", error)
             return 1
@@ -223,6 +223,7 @@ def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentPars
     parser.add_argument("--role", default="robot", choices=topics.ROLE_NAMES, help=words)
     words = "file with the shared time of a simulated run (default: real time)"
     parser.add_argument("--simulated-time", metavar="FILE", help=words)
+    parser.add_argument("--unpacked", action="store_true", help="do not pack arrays: their readers run on this machine")
     parser.add_argument("--nice", type=int, default=0, help="niceness of the process, 0 to 19 (default 0)")
     parser.add_argument("--urgent", action="store_true", help="use real-time priority, if this user may")
     parser.add_argument("--parent", type=int, help="id of the parent process; end when it ends")

@@ -10,6 +10,7 @@ from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.lateness import STALL
 from sextant.shared.runtime.service import AnyTopic, Every, Service, ServiceRunner
 from sextant.shared.runtime.simulated_time import hold
+from sextant.shared.wire import codec
 
 _LOOK_S = 0.2  # [s] maximum real time between two `alive` calls while the step thread waits
 _SHORTEST_WAIT_S = 0.5e-3  # [s] between two polls of simulated time that stands still
@@ -76,6 +77,7 @@ def run_live(
     ahead_s: Callable[[], float] = lambda: 0.0,
     role: str = "robot",
     robot_time: bool = False,
+    packs: bool = True,
 ) -> None:
     """Run one service in this process until `stop` is set.
 
@@ -91,6 +93,7 @@ def run_live(
         ahead_s: Returns the offset [s] of the robot's clock from this machine's clock.
         role: Role of this machine.
         robot_time: Whether this process uses the robot's clock; messages stamped ahead of it are then refused.
+        packs: Whether to pack arrays, for readers on other machines.
     """
     clock = now_ns
     arrived = threading.Event()
@@ -111,6 +114,7 @@ def run_live(
         role=role,
         hold=partial(hold, service.name),
         robot_time=robot_time,
+        encode=partial(codec.encode, packs=packs),
     )
     pace = service.trigger
 

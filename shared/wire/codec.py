@@ -8,8 +8,9 @@ A frame is a msgpack header, followed by the raw bytes of the arrays, 8-byte ali
 
 Encoding copies each array once, into the frame. Decoding does not copy: arrays are read-only views of the frame. Packed arrays
 are the exception. Their field [dtype, [length, ...], offset, bytes] refers to a Zstandard frame of the differences along the
-first axis, zigzag coded, with low bytes before high ones; unpacking creates a new array. `schema` is a hash of the message's
-declaration, so two versions with different declarations refuse each other's messages instead of misreading them.
+first axis, zigzag coded, with low bytes before high ones; unpacking creates a new array. A sender whose readers run on the same
+machine sends them like other arrays. `schema` is a hash of the message's declaration, so two versions with different
+declarations refuse each other's messages instead of misreading them.
 
 Frames are not trusted. Besides the checks of the message class, decoding refuses poses that are not rigid or lie more than
 1000 km away, and numbers so large that computing with them may overflow.
@@ -72,8 +73,8 @@ def schema_id(kind: type[Message]) -> str:
     return _layout(kind).schema_id
 
 
-def encode(message: Message, timing: Timing = Timing(0, 0)) -> bytes:
-    """Encode a message as one frame."""
+def encode(message: Message, timing: Timing = Timing(0, 0), packs: bool = True) -> bytes:
+    """Encode a message as one frame; without `packs` no array is packed, for readers on the same machine."""
     layout = _layout(type(message))
     fields: list[Any] = []
     buffers: list[Any] = []
@@ -81,7 +82,7 @@ def encode(message: Message, timing: Timing = Timing(0, 0)) -> bytes:
     for field in layout.fields:
         value = getattr(message, field.name)
         if field.dtype:
-            if field.packed:
+            if field.packed and packs:
                 buffer: Any = _packed(value)
                 length = len(buffer)
                 fields.append((field.dtype, value.shape, size, length))
@@ -380,7 +381,11 @@ def _packed_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecode
     if dtype.kind not in "iu":
         raise TypeError(f"{where}: a packed array of whole numbers expected, found {code}")
 
+    decode_array = _array_decoder(where, dtype, ndim)
+
     def decode_packed(frame: bytes, arrays: int, value: Any) -> Any:
+        if type(value) is list and len(value) == 3:  # sent without packing
+            return decode_array(frame, arrays, value)
         if type(value) is not list or len(value) != 4 or [*map(type, value)] != [str, list, int, int]:
             raise DecodeError(f"{where}: a packed array's dtype, shape, offset and bytes expected")
         found, shape, offset, length = value

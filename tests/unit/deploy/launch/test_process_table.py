@@ -155,6 +155,14 @@ def test_elsewhere_option_is_only_for_other_machines() -> None:
     assert all("--elsewhere" in command.arguments for command in away)
 
 
+def test_arrays_are_packed_only_for_readers_on_other_machines() -> None:
+    unpacked = {
+        role: {c.name for c in commands(rows(role, True), Choices(scenario="flat"), ENDPOINTS) if "--unpacked" in c.arguments}
+        for role in ("all", "onboard", "offboard")
+    }
+    assert unpacked == {"all": {"perception", "mapper"}, "onboard": set(), "offboard": set()}
+
+
 def test_only_recorder_uses_single_malloc_arena() -> None:
     made = process_table.commands(process_table.rows("all", True, page=True), Choices(), ENDPOINTS)
     assert [one.name for one in made if "MALLOC_ARENA_MAX" in one.environment] == ["recorder"]

@@ -207,6 +207,9 @@ class Packed(Message):
 def test_packed_arrays_survive_round_trip(data: st.DataObject, n: int) -> None:
     message = Packed(1, data.draw(hnp.arrays(np.uint8, (n,))), data.draw(hnp.arrays(np.int64, (n, 2, 3))))
     assert_equal(codec.decode(codec.encode(message), Packed)[0], message)
+    unpacked = codec.decode(codec.encode(message, packs=False), Packed)[0]
+    assert_equal(unpacked, message)
+    assert not unpacked.wide.flags.writeable  # type: ignore[attr-defined]
 
 
 def test_packing_compresses_similar_neighbours() -> None:
@@ -411,7 +414,7 @@ def test_arrays_that_differ_from_declaration_are_refused(value: object, words: s
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        (["|u1", [3], 0], "dtype, shape, offset and bytes expected"),
+        (["|u1", [3]], "dtype, shape, offset and bytes expected"),
         (["|u1", [3], 0, 10.0], "dtype, shape, offset and bytes expected"),
         (["<i2", [3], 0, 10], "an array of |u1 expected"),
         (["|u1", [3], 0, -1], "do not fit the frame"),
