@@ -1,6 +1,7 @@
 """Terrain map access: heights, scores and footholds at places in {world}."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -41,13 +42,18 @@ class Terrain:
             return f"an origin within {_FAR:g} m expected, found {self.map.origin.tolist()}"
         return ""
 
+    @cached_property
+    def _last(self) -> NDArray[np.int64]:
+        """Indices (2,) of the last cell."""
+        return np.array(self.map.elevation.shape) - 1
+
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return cell indices (..., 2), clipped, of points (..., 2) [m] {world}.
 
         Also return which (...) of the points are in the map.
         """
         ij = np.rint((xy - self.map.origin) / self.map.resolution).astype(np.int64)
-        clipped = np.minimum(np.maximum(ij, 0), np.array(self.map.elevation.shape) - 1)
+        clipped = np.minimum(np.maximum(ij, 0), self._last)
         same = clipped == ij
         return clipped, np.asarray(same[..., 0] & same[..., 1])
 

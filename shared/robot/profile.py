@@ -11,7 +11,7 @@ leg is stretched straight outward.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -269,9 +269,14 @@ class Camera:
     @property
     def T_body_camera(self) -> Array:
         """Pose (4, 4) of the optical frame (x right, y down, z forward) in the body frame."""
-        look = from_xyz_rpy(self.mount_xyz, (0.0, np.radians(self.pitch_down_deg), 0.0))
-        optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-        return np.asarray(look @ transform(optical, np.zeros(3)))
+        return _camera_pose(self.mount_xyz, self.pitch_down_deg).copy()
+
+
+@cache
+def _camera_pose(mount_xyz: tuple[float, float, float], pitch_down_deg: float) -> Array:
+    look = from_xyz_rpy(mount_xyz, (0.0, np.radians(pitch_down_deg), 0.0))
+    optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    return np.asarray(look @ transform(optical, np.zeros(3)))
 
 
 @dataclass(frozen=True, slots=True)

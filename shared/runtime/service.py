@@ -294,7 +294,7 @@ class ServiceRunner:
         ahead_s: Callable[[], float] = lambda: 0.0,
         astray: Callable[[], tuple[int, str]] = lambda: (0, ""),
         role: str = "robot",
-        hold: Callable[[int | None], object] = lambda _limit_ns: None,
+        hold: Callable[[int | None], object] | None = None,
         robot_time: bool = False,
         encode: Encode = codec.encode,
     ):
@@ -302,7 +302,8 @@ class ServiceRunner:
         self._health_topic = topics.HEALTH_OF[role]  # of the machine's role; other roles may not publish there
         self._max_age_s = dict(service.max_age_s) if isinstance(service, Limited) else {}
         self.ages = InputAges({**self._max_age_s, STALL: MAX_STALL_S} if self._max_age_s else {})
-        self._hold = hold  # sets the time [ns] up to which simulated time may run without another step
+        # Sets the time [ns] up to which simulated time may run without another step.
+        self._hold = hold if self._max_age_s else None
         self._missed_beats = 0
         self._ahead_s = ahead_s
         self._astray = astray  # number of frames that the link dropped because of a wrong address, and the last of them
@@ -338,7 +339,7 @@ class ServiceRunner:
 
     def _step(self, message: Message) -> None:
         began_ns = self.inbox.now_ns = self._clock()
-        if self._max_age_s:
+        if self._hold is not None:
             self._hold(self._next_step_by(began_ns, _BEAT_LASTS))
         with self.service.stages(self.service.name):
             for made in self.service.step(message, self.inbox):
@@ -348,8 +349,9 @@ class ServiceRunner:
                 self._send(topic, self._encode(made, codec.Timing(began_ns, self._clock())), began_ns)
         self._steps += 1
         self._stepped_ns = began_ns
-        if self._max_age_s:
+        if self._hold is not None:
             self._hold(self._next_step_by(began_ns, _LATE_BEAT))
+        if self._max_age_s:
             self.ages.forget_uses()
         self.report_health(began_ns)
 

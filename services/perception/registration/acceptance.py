@@ -45,14 +45,18 @@ def check_measured_share(frame: BlockFrame, acceptance: Acceptance) -> str:
     return ""
 
 
-def rejection_reason(match: Match, acceptance: Acceptance) -> str:
-    """Return why a match is rejected, or an empty string."""
+def rejection_reason(match: Match, acceptance: Acceptance, max_rmse: float | None = None) -> str:
+    """Return why a match is rejected, or an empty string.
+
+    `max_rmse` [m] replaces that of the limits.
+    """
+    max_rmse = acceptance.max_rmse if max_rmse is None else max_rmse
     if match.overlap < acceptance.min_overlap:
         return f"{100 * match.overlap:.0f} % of the frame overlaps known ground, {100 * acceptance.min_overlap:.0f} % needed"
     if match.agreement < acceptance.min_agreement:
         return f"only {100 * match.agreement:.0f} % of the overlap agrees with known ground"
-    if match.rmse > acceptance.max_rmse:
-        return f"surfaces are {1000 * match.rmse:.1f} mm apart, {1000 * acceptance.max_rmse:.1f} mm allowed"
+    if match.rmse > max_rmse:
+        return f"surfaces are {1000 * match.rmse:.1f} mm apart, {1000 * max_rmse:.1f} mm allowed"
     return ""
 
 

@@ -1,7 +1,6 @@
 """History of the quality of fit, against which a frame's fit is compared."""
 
 import math
-from dataclasses import replace
 
 from sextant.services.perception.registration.acceptance import Acceptance, rejection_reason
 from sextant.services.perception.registration.projective_matching import Match
@@ -51,7 +50,7 @@ class FitHistory:
         """
         limits = self._limits
         usual = limits.rmse_factor * self._usual_rmse + limits.rmse_margin
-        reason = rejection_reason(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
+        reason = rejection_reason(match, limits, min(limits.max_rmse, usual))
         if not reason or usual_share >= _SPARSE:
             return reason
         return f"{reason}; {1.0 - usual_share:.0%} of the pixels in view have no measurement"

@@ -102,11 +102,11 @@ def stands_clear(
     """Return which (n,) foot centres keep one leg clear of the ground.
 
     The ground next to the links counts as well as the ground below, because a shank has a thickness and an edge in the map has
-    an uncertainty. Foot centres are (n, 3) [m] {world}, the body pose is (4, 4), and the margin is in [m].
+    an uncertainty. This must hold for all body poses (k, 4, 4). Foot centres are (n, 3) [m] {world}, the margin is in [m].
     """
-    T = T_world_body @ profile.T_body_coxa[leg]
+    T = (T_world_body @ profile.T_body_coxa[leg])[:, None]
     gaps, _ = _gaps(feet, T, profile.leg_reach[leg], profile.links, terrain, _AROUND)
-    return np.asarray((gaps >= margin).all(axis=-1))
+    return np.asarray((gaps >= margin).all(axis=(0, 2)))
 
 
 def rises_clear(

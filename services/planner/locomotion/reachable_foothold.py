@@ -46,8 +46,8 @@ class FootholdFinder:
             at = points + self._foot_up
             above = at + np.array([0.0, 0.0, self._params.descent_m])  # a folded leg descends further out
             reached = self._reaches(leg, (above, T_end), (at, T_end), (at, T_after))
-            for T in (T_end, T_after):
-                reached[reached] = stands_clear(leg, at[reached], T, self._params.leg_margin_m, self._profile, terrain)
+            bounds = passed[[0, 2]]
+            reached[reached] = stands_clear(leg, at[reached], bounds, self._params.leg_margin_m, self._profile, terrain)
             reached[reached] = rises_clear(leg, at[reached], passed, self._params.sink_margin_m, self._profile, terrain)
             return reached
 

@@ -99,7 +99,7 @@ def test_foothold_without_room_for_tibia_is_refused(make_terrain: Maker) -> None
     way = step(out=0.045)
     feet = way.end[[MIDDLE, MIDDLE]] + [[0.0, 0.0, 0.0], [-0.13, 0.0, 0.0]]
     ground = make_terrain(lambda x, y: np.where((-y > 0.205) & (-y < 0.23) & (x > 0.1), 0.07, 0.0))
-    np.testing.assert_array_equal(stands_clear(MIDDLE, feet, way.T_end, MARGIN, PROFILE, ground), [False, True])
+    np.testing.assert_array_equal(stands_clear(MIDDLE, feet, way.T_end[None], MARGIN, PROFILE, ground), [False, True])
 
 
 def test_step_that_pushes_stance_leg_into_block_is_refused(make_terrain: Maker) -> None:
