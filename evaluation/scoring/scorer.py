@@ -101,11 +101,11 @@ class Scorer:
         heard.take_in(truth, inbox)
         self._walk = self._trace = None
         if len(heard.truth) == 1:
-            self._lay_start(truth.T_world_body)
+            self._lay_start(truth.T_world_body, truth.feet)
             self._end = self._mistaken(truth)
             self.finished = bool(self._end)
         if stood and heard.first_step_ns is not None:
-            self._anchor()
+            self._anchor(truth.feet)
         if truth.stamp_ns >= self._map_due_ns:
             terrain = inbox.latest(topics.TERRAIN)
             if terrain is not None and heard.poses:
@@ -124,16 +124,16 @@ class Scorer:
         """Reason for the end of the run as text; empty while it goes on."""
         return self._end
 
-    def _lay_start(self, T: Array) -> None:
-        """Place {start} under a body pose (4, 4) in the simulator's world."""
-        self._course.lay(T, float(self._heard.truth[-1].feet[:, 2].min()) - self._profile.foot.radius)
+    def _lay_start(self, T: Array, feet: Array) -> None:
+        """Place {start} under a body pose (4, 4) and feet (6, 3) [m] in the simulator's world."""
+        self._course.lay(T, float(feet[:, 2].min()) - self._profile.foot.radius)
         self._maps = None  # the old maps used the previous {start}
         self._rows = self._course.T_start_sim[:3].tolist()
         margin = _ROUTE_MARGIN if self._scenario.goal.route else _PATH_MARGIN
         self._ground = GroundHeights(self._course.around(margin), self._course.T_start_sim, self._course.height_at)
 
-    def _anchor(self) -> None:
-        """Place {start} again where the robot stands before its first step.
+    def _anchor(self, feet: Array) -> None:
+        """Place {start} again where the robot stands before its first step, on feet (6, 3) [m].
 
         There, truth and estimate then agree.
         """
@@ -144,9 +144,9 @@ class Scorer:
             return
         t = np.array([p.stamp_ns - heard.begin_ns for p in poses], dtype=np.float64)
         nearest = np.minimum(np.searchsorted(heard.stamps(), t), len(heard.truth) - 1)
-        both = zip(nearest, poses, strict=True)
-        mean = np.mean([_flat(heard.truth[k].T_world_body) @ inverse(_flat(p.T_world_body)) for k, p in both], axis=0)
-        self._lay_start(transform(rotation_z(yaw_of(mean)), mean[:3, 3]))
+        both = zip(heard.truth["T_world_body"][nearest], poses, strict=True)
+        mean = np.mean([_flat(T_true) @ inverse(_flat(p.T_world_body)) for T_true, p in both], axis=0)
+        self._lay_start(transform(rotation_z(yaw_of(mean)), mean[:3, 3]), feet)
 
     def _mistaken(self, truth: GroundTruth) -> str:
         """Return why this is not the expected run, or an empty string."""
@@ -351,7 +351,7 @@ class Scorer:
         heard = self._heard
         if heard.first_step_ns is None:
             return 0.0, 0.0
-        until = self._goal_ns if self._goal_ns is not None else heard.truth[-1].stamp_ns
+        until = self._goal_ns if self._goal_ns is not None else heard.newest_ns
         duration = (until - heard.first_step_ns) * 1e-9
         if duration <= 0:
             return 0.0, 0.0
@@ -364,7 +364,7 @@ class Scorer:
             return CourseMap()
         every = max(1, round(topics.TRUTH.rate_hz * _MAP_PERIOD_NS * 1e-9))
         camera = self._profile.camera
-        views = self._course.views((m.T_world_body @ camera.T_body_camera for m in self._heard.truth[::every]), camera)
+        views = self._course.views((T @ camera.T_body_camera for T in self._heard.truth["T_world_body"][::every]), camera)
         return judge_course(mosaic, self._course.height_at, None if views is None else mosaic.in_view(views, camera))
 
 

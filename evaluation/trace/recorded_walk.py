@@ -35,14 +35,14 @@ class Walk:
         self._heard, self._course, self._profile = heard, course, profile
         truth = heard.truth
         self.t_ns = heard.stamps()  # (n,)
-        self.T = course.T_start_sim @ np.array([m.T_world_body for m in truth]).reshape(-1, 4, 4)  # (n, 4, 4) body
+        self.T = course.T_start_sim @ truth["T_world_body"].reshape(-1, 4, 4)  # (n, 4, 4) body
         self.p: Array = self.T[:, :3, 3]  # (n, 3) [m] body
-        self.up = np.array([m.T_world_body[2, :3] for m in truth]).reshape(-1, 3)  # (n, 3) {body} the vertical
-        self.feet = apply(course.T_start_sim, np.array([m.feet for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [m] centres
-        self.torque = np.abs(np.array([m.torque for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [N m]
-        self.contact: Flags = debounced(np.array([m.contact for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
-        self.bears: Flags = debounced(np.array([m.carries_load for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
-        self.shutdown: Flags = np.array([m.shutdown for m in truth], dtype=bool).reshape(-1, 6, 3)  # servos with an error
+        self.up = truth["T_world_body"].reshape(-1, 4, 4)[:, 2, :3]  # (n, 3) {body} the vertical
+        self.feet = apply(course.T_start_sim, truth["feet"].reshape(-1, 6, 3))  # (n, 6, 3) [m] centres
+        self.torque = np.abs(truth["torque"].reshape(-1, 6, 3))  # (n, 6, 3) [N m]
+        self.contact: Flags = debounced(truth["contact"].astype(bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
+        self.bears: Flags = debounced(truth["carries_load"].astype(bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
+        self.shutdown: Flags = truth["shutdown"].astype(bool).reshape(-1, 6, 3)  # servos with an error
         self._align()
 
     @cached_property
@@ -54,8 +54,8 @@ class Walk:
     def shanks(self) -> Array:
         """Unit vectors (n, 6, 3) {start} from the feet up the shanks."""
         truth = self._heard.truth
-        legs = leg_points(self._profile, np.array([m.q for m in truth]).reshape(-1, 6, 3))
-        R = self._course.T_start_sim[:3, :3] @ np.array([m.T_world_body[:3, :3] for m in truth]).reshape(-1, 3, 3)
+        legs = leg_points(self._profile, truth["q"].reshape(-1, 6, 3))
+        R = self._course.T_start_sim[:3, :3] @ truth["T_world_body"].reshape(-1, 4, 4)[:, :3, :3]
         shanks = (legs[:, :, 2] - legs[:, :, 3]) / self._profile.links.tibia
         return np.asarray(np.einsum("nij,nkj->nki", R, shanks))
 
@@ -80,7 +80,7 @@ class Walk:
         """
         if not self._heard.states:
             return np.full(len(self.t_ns), np.nan)
-        q = np.array([m.q for m in self._heard.truth]).reshape(-1, 6, 3)
+        q = self._heard.truth["q"].reshape(-1, 6, 3)
         offset = (self.T[:, :3, :3] @ centre_of_mass(self._profile, q)[..., None])[..., 0]
         return stability_margin(self.feet[..., :2], self.carrying, (self.p + offset)[:, :2])
 
@@ -91,9 +91,9 @@ class Walk:
         Only every `_EVERY`-th sample is checked; the others are False.
         """
         flags = np.zeros((len(self.t_ns), 7), dtype=bool)
-        some = self._heard.truth[::_EVERY]
-        if some:
-            feet, bodies = np.array([m.feet for m in some]), np.array([m.T_world_body for m in some])
+        truth = self._heard.truth
+        if truth:
+            feet, bodies = truth["feet"][::_EVERY], truth["T_world_body"][::_EVERY]
             size, ground = self._profile.body.size, self._course.terrain.height_at
             flags[::_EVERY] = in_the_way(ground, feet, bodies, self._profile.foot.radius, size)
         return flags

@@ -1,9 +1,11 @@
 """Messages that the scorer has received in a run: ground truth and services."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.service import Inbox
@@ -17,12 +19,45 @@ from sextant.shared.wire.messages import (
     PassagePlan,
     PlannerStatus,
     StepPlan,
+    schema,
 )
 
+Kept = TypeVar("Kept", ActuatorState, BodyPose)
 Counted = TypeVar("Counted", ActuatorState, StepPlan)
 
 _MOST_STEPS = 1 << 40  # upper limit of step numbers that are added up
+# Fields of kept messages that no evaluation uses.
+_UNUSED_OF_STATE = frozenset(("contact", "q", "load_nm", "feet", "T_odom_body"))
+_UNUSED_OF_POSE = frozenset(("T_world_odom", "covariance", "degenerate"))
+_COLUMNS = ("stamp_ns", "T_world_body", "q", "torque", "feet", "contact", "carries_load", "shutdown")
+_ROWS = 1024  # of a part of the columns
 _REFUSED_NS = 10_000_000_000  # [ns] minimum duration of a refusal: standing and reporting the reason
+
+
+class TruthLog:
+    """Ground truth of a run in columns, with a row per message; it takes a third of the memory of the messages."""
+
+    def __init__(self) -> None:
+        self._parts: list[dict[str, NDArray[Any]]] = []
+        self._count = 0
+
+    def __len__(self) -> int:
+        """Number of messages."""
+        return self._count
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return a column (n, ...) by the name of its field; without messages it is (0,)."""
+        return np.concatenate([part[name] for part in self._parts])[: self._count] if self._parts else np.zeros(0)
+
+    def append(self, truth: GroundTruth) -> None:
+        """Add a message."""
+        row = self._count % _ROWS
+        if row == 0:
+            values = {name: np.asarray(getattr(truth, name)) for name in _COLUMNS}
+            self._parts.append({name: np.empty((_ROWS, *value.shape), value.dtype) for name, value in values.items()})
+        for name, column in self._parts[-1].items():
+            column[row] = getattr(truth, name)
+        self._count += 1
 
 
 class RunLog:
@@ -32,7 +67,10 @@ class RunLog:
     """
 
     def __init__(self) -> None:
-        self.truth: list[GroundTruth] = []
+        self.truth = TruthLog()
+        self.begin_ns = self.newest_ns = (
+            0  # [ns] stamps of the first message of truth, the zero of the run's time, and the last
+        )
         self.poses: list[BodyPose] = []
         self.states: list[ActuatorState] = []
         self.statuses: list[PlannerStatus] = []
@@ -48,27 +86,25 @@ class RunLog:
         self._map_ns: dict[int, int] = {}  # stamp of a plan -> stamp of its map
         self._executed_map_ns = -1  # the newest one of the executed plans
 
-    @property
-    def begin_ns(self) -> int:
-        """Stamp [ns] of the first message of truth, the zero of the run's time."""
-        return self.truth[0].stamp_ns if self.truth else 0
-
     def stamps(self) -> Array:
         """Return times (n,) [ns] of the truth, relative to its first message."""
-        begin = self.begin_ns
-        return np.array([m.stamp_ns - begin for m in self.truth], dtype=np.float64)
+        return np.asarray(self.truth["stamp_ns"] - self.begin_ns, dtype=np.float64)
 
     def take_in(self, truth: GroundTruth, inbox: Inbox) -> None:
         """Process one message of truth and the service messages since the last one."""
+        if not self.truth:
+            self.begin_ns = truth.stamp_ns
         self.truth.append(truth)
-        self.poses += inbox.drain(topics.BODY_POSE)
+        self.newest_ns = truth.stamp_ns
+        for pose in inbox.drain(topics.BODY_POSE):
+            self.poses.append(_sharing(pose, self.poses, _UNUSED_OF_POSE))
         states = inbox.drain(topics.ACTUATOR_STATE)
         for state in states:
             if state.step < self._newest_step:
                 # A restarted actuator counts from zero.
                 self._steps_before = min(self._steps_before + max(self._newest_step, 0), _MOST_STEPS)
             self._newest_step = state.step
-            self.states.append(self._counted_on(state))
+            self.states.append(_sharing(self._counted_on(state), self.states, _UNUSED_OF_STATE))
             if self.first_step_ns is None and state.mode is Mode.WALK:
                 self.first_step_ns = state.stamp_ns
         for plan in inbox.drain(topics.STEP_PLAN):
@@ -102,6 +138,18 @@ class RunLog:
             self._blocked_since_ns = status.stamp_ns
         if status.stamp_ns - self._blocked_since_ns >= _REFUSED_NS:
             self.refusal = status.reason
+
+
+def _sharing(message: Kept, before: Sequence[Kept], unused: frozenset[str]) -> Kept:
+    """Return a message that shares equal arrays with the last one, and unused arrays in any case; this saves memory."""
+    if not before:
+        return message
+    last = {
+        name: (getattr(message, name), getattr(before[-1], name))
+        for name, base, _ in schema(type(message))
+        if base is np.ndarray
+    }
+    return replace(message, **{name: old for name, (new, old) in last.items() if name in unused or np.array_equal(new, old)})
 
 
 def _goes_on(path: Array, known: Array) -> bool:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.evaluation.trace.run_log import RunLog
+from sextant.evaluation.trace.run_log import RunLog, TruthLog
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox, Stages
 from sextant.shared.wire import codec, topics
@@ -14,11 +14,16 @@ PROFILE = load_profile("phantomx_mk2")
 LARGEST = (1 << 63) - 1
 
 
+def ground_truth(stamp_ns: int, value: float = 0.0) -> GroundTruth:
+    flags, joints = np.zeros(6, dtype=bool), np.full((6, 3), value)
+    return GroundTruth(
+        stamp_ns, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name
+    )
+
+
 def counted_steps(*steps: int) -> list[int]:
     """Return the steps of received states as a scorer counts them."""
-    flags, joints = np.zeros(6, dtype=bool), np.zeros((6, 3))
-    truth = GroundTruth(0, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name)
-    heard, inbox = RunLog(), Inbox(topics.TOPICS, Stages())
+    truth, heard, inbox = ground_truth(0), RunLog(), Inbox(topics.TOPICS, Stages())
     for step in steps:
         inbox.receive(topics.ACTUATOR_STATE, codec.encode(actuator_state(PROFILE, step=step, mode=Mode.WALK)), 0)
         heard.take_in(truth, inbox)
@@ -40,8 +45,7 @@ def test_extreme_step_numbers_do_not_overflow_step_count(claimed: int) -> None:
 
 def test_time_from_image_to_executed_plan_counts_each_map_once() -> None:
     flags, joints = np.zeros(6, dtype=bool), np.zeros((6, 3))
-    truth = GroundTruth(0, np.eye(4), joints, joints, joints, flags, flags, joints > 0, 11.1, 30.0, "flat", 0, PROFILE.name)
-    heard, inbox = RunLog(), Inbox(topics.TOPICS, Stages())
+    truth, heard, inbox = ground_truth(0), RunLog(), Inbox(topics.TOPICS, Stages())
     maps = {100: 60, 140: 60, 200: 130, 240: -1, 280: 70}  # stamps of plans and of their maps
     for plan_ns, map_ns in maps.items():
         plan = StepPlan(plan_ns, 0, 1, 0, np.eye(4), flags, joints, np.zeros(6), np.eye(4), 1.0, False, map_ns)
@@ -51,3 +55,27 @@ def test_time_from_image_to_executed_plan_counts_each_map_once() -> None:
         inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), 0)
         heard.take_in(truth, inbox)
     assert heard.capture_to_plan_ns == [60, 90], "renewals, older maps, and plans without a map do not count"
+
+
+def test_truth_is_kept_in_columns() -> None:
+    log = TruthLog()
+    assert len(log) == len(log["stamp_ns"]) == 0
+    for k in range(2500):
+        log.append(ground_truth(k, 0.1 * k))
+    assert len(log) == 2500
+    np.testing.assert_array_equal(log["stamp_ns"], np.arange(2500))
+    np.testing.assert_array_equal(log["q"], np.tile(0.1 * np.arange(2500)[:, None, None], (1, 6, 3)))
+    assert log["T_world_body"].shape == (2500, 4, 4)
+
+
+def test_kept_states_share_equal_arrays_and_keep_different_ones() -> None:
+    heard, inbox = RunLog(), Inbox(topics.TOPICS, Stages())
+    for swing in (False, False, True):
+        state = actuator_state(PROFILE, swing=np.full(6, swing))
+        inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), 0)
+        heard.take_in(ground_truth(0), inbox)
+    first, second, third = heard.states
+    assert second.swing is first.swing
+    assert second.touchdown_point is third.touchdown_point is first.touchdown_point
+    assert third.swing.all()
+    assert not first.swing.any()
