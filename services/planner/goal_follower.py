@@ -1,7 +1,7 @@
 """Walking to a goal: along a path, or across a gap where there is no path."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +35,7 @@ class GoalFollower:
         steps: StepSelector,
         plans: PlanTracker,
         stages: Stages,
-        may_search: Callable[[], bool],
+        gap_crossing: GapCrossingController,
     ):
         """Initialize for a robot.
 
@@ -45,11 +45,11 @@ class GoalFollower:
             steps: Selection of steps for the commands that lead to the goal.
             plans: The sent plans.
             stages: Durations of the planner's work.
-            may_search: Whether a gap crossing may start, see `Planner`.
+            gap_crossing: Crosses gaps on the way to a goal.
         """
         self._profile, self._settings, self._steps, self._plans, self._stages = profile, settings, steps, plans, stages
         self._path_follower = PathFollower(profile, settings)
-        self._gap_crossing = GapCrossingController(profile, settings, may_search)
+        self._gap_crossing = gap_crossing
         self._poses: deque[BodyPose] = deque(maxlen=_POSES)  # poses of the last seconds
         self._certain_ns = 0  # [ns] when perception was last certain of the robot's pose
 

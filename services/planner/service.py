@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.services.planner.config import Settings
+from sextant.services.planner.gap_crossing.approach import GapCrossingController
 from sextant.services.planner.goal_follower import GoalFollower
 from sextant.services.planner.locomotion.decision import Decision
 from sextant.services.planner.locomotion.missing_ground import MissingGround
@@ -59,7 +60,8 @@ class Planner:
         self._missing_ground = MissingGround()
         self._plans = PlanTracker(profile.foot.radius)
         self._steps = StepSelector(profile, settings, self._plans, self.stages)
-        self._goals = GoalFollower(profile, settings, self._steps, self._plans, self.stages, may_search)
+        gap_crossing = GapCrossingController(profile, settings, may_search)
+        self._goals = GoalFollower(profile, settings, self._steps, self._plans, self.stages, gap_crossing)
         self._decision = Decision("waiting", "starting")  # the newest one
         self._has_goal = False
         self._moved_footholds = 0  # in the newest plan
