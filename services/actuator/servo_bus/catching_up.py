@@ -24,6 +24,8 @@ class CatchingUp:
         self.all_behind = False  # whether all servos missed goals, and have not yet answered and caught up
         self._max_speed: Array = np.full(18, GENTLE)  # [rad/s] speed limit of servos that are behind
         self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when they first answered again, 0 before
+        self._returned_ns = 0  # [ns] when the first of all servos answered again, 0 before
+        self._moves: NDArray[np.bool_] = np.zeros(18, dtype=np.bool_)  # servos that move by their newest readings, or may
 
     @property
     def answering(self) -> NDArray[np.bool_]:
@@ -47,6 +49,7 @@ class CatchingUp:
     def leave_all_behind(self) -> None:
         """Treat the positions of all servos as unknown."""
         self.all_behind = True
+        self._returned_ns, self._moves[:] = 0, True
         self.leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
 
     def note_reading(self, index: int, stamp_ns: int, off: float, speed: float) -> None:
@@ -58,19 +61,24 @@ class CatchingUp:
             off: [rad] between joint and goal.
             speed: [rad/s] of the servo.
         """
+        self._returned_ns = self._returned_ns or stamp_ns
+        still = abs(speed) < _STILL_RAD_S
+        self._moves[index] = not still
         if not self.behind[index]:
             return
         self._back_ns[index] = self._back_ns[index] or stamp_ns
-        arrived = abs(speed) < _STILL_RAD_S and stamp_ns - self._back_ns[index] > _MIN_MOTION_NS
+        arrived = still and stamp_ns - self._back_ns[index] > _MIN_MOTION_NS
         if arrived or abs(off) < _CAUGHT_UP_RAD:
             self.behind[index] = False
 
     def update_all_behind(self, now_ns: int) -> None:
-        """End `all_behind` once all servos have caught up, or 1 s after the first one has answered again."""
+        """End `all_behind` once all servos have caught up and rest, or 1 s after the first one has answered again.
+
+        The load of a moving leg does not show whether it stands.
+        """
         if self.all_behind:
-            back = self._back_ns[self._back_ns > 0]
-            waited = len(back) > 0 and now_ns - int(back.min()) > _SILENT_TIMEOUT_NS
-            self.all_behind = bool(self.behind.any()) and not waited
+            waited = 0 < self._returned_ns < now_ns - _SILENT_TIMEOUT_NS
+            self.all_behind = bool((self.behind | self._moves).any()) and not waited
 
     def readopt(self, off: Array, now_ns: int) -> None:
         """Continue with goals that were adopted from the servos, all of which have just answered.
@@ -82,4 +90,5 @@ class CatchingUp:
             now_ns: [ns] time of their answers.
         """
         self.behind &= np.abs(off) >= _CAUGHT_UP_RAD
+        self._returned_ns, self._moves[:] = now_ns, True
         self._back_ns = np.where(self.behind, now_ns, 0)

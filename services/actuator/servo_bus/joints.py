@@ -275,7 +275,7 @@ class Joints:
         self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
         self.voltage[index] = reading.voltage
         self.temperature[index] = reading.temperature
-        if self._catching_up.behind[index]:
+        if self._catching_up.all_behind or self._catching_up.behind[index]:
             self._catching_up.note_reading(index, reading.stamp_ns, q - float(self.goals[leg, joint]), reading.speed)
 
     def _clipped_to_limits(self, q: Array) -> Array:

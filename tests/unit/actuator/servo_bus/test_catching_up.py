@@ -55,6 +55,19 @@ def test_touch_is_regained_when_all_have_caught_up_or_a_second_after_the_first_a
     assert not servos.all_behind
 
 
+def test_touch_is_not_regained_while_a_joint_moves() -> None:
+    servos = CatchingUp()
+    servos.leave_all_behind()
+    for index in range(18):
+        servos.note_reading(index, SECOND, np.radians(4.0), FAST if index == 0 else 0.0)
+    assert not servos.behind.any()
+    servos.update_all_behind(SECOND)
+    assert servos.all_behind
+    servos.note_reading(0, SECOND, np.radians(4.0), 0.0)
+    servos.update_all_behind(SECOND)
+    assert not servos.all_behind
+
+
 def test_with_goals_of_the_servos_only_joints_on_their_way_stay_slow() -> None:
     servos = CatchingUp()
     servos.leave_all_behind()
@@ -66,6 +79,10 @@ def test_with_goals_of_the_servos_only_joints_on_their_way_stay_slow() -> None:
 
 def test_a_servo_that_falls_silent_after_its_port_has_returned_stops_the_others_for_a_second_only() -> None:
     servos = CatchingUp()
+    servos.leave_all_behind()
+    servos.readopt(np.zeros(18), SECOND)
+    servos.update_all_behind(2 * SECOND + 1)
+    assert not servos.all_behind, "each was at its goal"
     servos.leave_all_behind()
     servos.readopt(np.where(FIRST, np.radians(8.0), 0.0), SECOND)
     assert servos.answering.tolist() == FIRST.tolist(), "its state was read"
