@@ -2,7 +2,8 @@
 
 SHARES = (1.0, 2.0 / 3.0, 0.5)  # possible rates, of the nominal one
 _LATE_PERIODS = 1.4  # [periods] from one cycle to the next from which a cycle is late
-_HELD_PERIODS = 1.55  # [periods] longest time from one cycle to the next with which a lower rate is chosen
+_FITS_PERIODS = 1.1  # [periods] longest time that a cycle needs at a rate that the computer holds
+_HELD_PERIODS = 1.55  # [periods] the same at the lowest rate, at which some cycles may be late
 _TOO_MANY = 4.0  # count of late cycles from which the rate falls; the health monitor stops the robot after five in a row
 _PUNCTUAL = 0.25  # by which a punctual cycle lowers that count
 _SPARE = 0.8  # largest share of a higher rate's period that a cycle may take for that rate to be held
@@ -51,7 +52,9 @@ class ControlRate:
         period_s = self.period_ns * 1e-9
         late = since_last_s > _LATE_PERIODS * period_s
         self._late = self._late + 1.0 if late else max(self._late - _PUNCTUAL, 0.0)
-        if self._late >= _TOO_MANY and (lower := self._held(since_last_s)):
+        # A cycle that takes longer than a period skips the next one: the time between two cycles is longer than needed.
+        needed_s = took_s if took_s > period_s else since_last_s
+        if self._late >= _TOO_MANY and (lower := self._held(needed_s)):
             return self._change(lower)
         if not self._level:
             return False
@@ -60,10 +63,14 @@ class ControlRate:
         self._spare_s = self._spare_s + period_s if spare else max(self._spare_s - _SLOW_COUNTS * period_s, 0.0)
         return self._spare_s >= _HIGHER_AFTER_S and self._change(self._level - 1)
 
-    def _held(self, since_last_s: float) -> int:
-        """Return the highest lower rate that the computer may hold, as an index in `SHARES`; 0 for none."""
-        lower = range(self._level + 1, len(SHARES))
-        return next((i for i in lower if since_last_s <= _HELD_PERIODS / (self._nominal_hz * SHARES[i])), 0)
+    def _held(self, needed_s: float) -> int:
+        """Return the highest lower rate at which a cycle may take `needed_s`, as an index in `SHARES`; 0 for none."""
+        lowest = len(SHARES) - 1
+        for level in range(self._level + 1, len(SHARES)):
+            periods = _FITS_PERIODS if level < lowest else _HELD_PERIODS
+            if needed_s <= periods / (self._nominal_hz * SHARES[level]):
+                return level
+        return 0
 
     def _change(self, level: int) -> bool:
         self._level = level

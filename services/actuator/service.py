@@ -114,6 +114,7 @@ class Actuator:
         """Run one control cycle."""
         now_ns, guard, estimator, motion, joints = tick.stamp_ns, self._guard, self._estimator, self._motion, self._joints
         elapsed, dt = self._clock.begin(now_ns)
+        estimator.touchdown.period_ns = max(self._rate.period_ns, round(dt * 1e9))
         began_ns = self._clock.now_ns()
         suspended_s = self._clock.suspended_s()
         # 1. Measure joints, contact and body pose.
@@ -151,7 +152,7 @@ class Actuator:
         """Run by the present rate of the control cycle."""
         period_ns = self._rate.period_ns
         self.trigger = Every(period_ns)
-        self._clock.period_ns = self._estimator.touchdown.period_ns = period_ns
+        self._clock.period_ns = period_ns
         self._health.follow_rate(period_ns * 1e-9)
 
     # ---------------------------------------------------------------------------------------------------- measurements

@@ -15,7 +15,7 @@ from sextant.shared.robot.profile import RobotProfile, Servo
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short
 _REFERENCE_MASS_KG = 2.5  # [kg] mass of the robot to which the limits of the parameters refer
 _MAX_READING_GAP = 2.5  # [periods] maximum time between two readings from which the acceleration of the leg is computed
-_BALANCE_NS = 8_000_000  # [ns] time after goals are sent to which loads are converted, because the torque balance holds then
+_BALANCE = 0.4  # [periods] time after goals are sent to which loads are converted, because the torque balance holds then
 _TRANSMISSION_NS = 5_000_000  # [ns] time after goals are sent within which a servo may not have received them yet
 _MIN_TORQUE_CHANGE_NM = 0.1  # [N m] least torque difference of two goals that a reading tells apart; ticks cause half of it
 _LATE = 1.5  # [periods] maximum age of a recent reading
@@ -64,7 +64,7 @@ class TouchdownDetector:
     def __init__(self, profile: RobotProfile, params: TouchdownParams | None = None):
         """Begin without a reading."""
         self._profile, self._params = profile, params or TouchdownParams()
-        self.period_ns = 20_000_000  # [ns] of the control cycle, in which goals are sent
+        self.period_ns = 20_000_000  # [ns] from the last control cycle, in which goals were sent, to this one
         self._inertia = _leg_inertia(profile)
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
         # All of them are lists, one number for each leg: readings come leg by leg.
@@ -125,7 +125,7 @@ class TouchdownDetector:
             and abs(femur.load - old) < abs(femur.load - new)
         ):
             since_ns, goal, new = since_ns + self.period_ns, before, old
-        then = _spring_torque(servo, goal, femur.angle + femur.speed * (_BALANCE_NS - since_ns) * 1e-9)
+        then = _spring_torque(servo, goal, femur.angle + femur.speed * (_BALANCE * self.period_ns - since_ns) * 1e-9)
         return femur.load + then - new
 
     def forget(self, legs: NDArray[np.bool_]) -> None:

@@ -29,6 +29,13 @@ def test_rate_falls_to_what_the_computer_holds(since_s: float, share: float) -> 
     assert rate.warning == (words if share < 1.0 else "")
 
 
+@pytest.mark.parametrize(("took_s", "share"), [(0.028, 2.0 / 3.0), (0.036, 0.5), (0.002, 0.5)])
+def test_rate_fits_the_duration_of_cycles_that_skip_others(took_s: float, share: float) -> None:
+    rate = ControlRate(50.0)
+    run(rate, 5.0, 0.04, took_s)
+    assert rate.share == share
+
+
 @pytest.mark.parametrize(("late_of_100", "falls"), [(4, False), (50, True)])
 def test_a_few_late_cycles_do_not_matter(late_of_100: int, falls: bool) -> None:
     rate, draw = ControlRate(50.0), np.random.default_rng(0)

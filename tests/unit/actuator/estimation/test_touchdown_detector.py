@@ -28,7 +28,7 @@ OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
 Q = body_inverse(PROFILE, PROFILE.rest_feet() + (0.144 - PROFILE.foot_radii)[:, None] * OUT)
 LEG = 2
 PERIOD = 20_000_000
-STEPS = 20  # integration steps of the joint's motion per cycle
+STEPS = 20  # integration steps of the joint's motion per 20 ms
 
 
 def femur(speed: float, load: float, stamp_ns: int, angle: float = 0.0) -> FemurReading:
@@ -44,7 +44,14 @@ class Swing(NamedTuple):
     met: int  # cycle of ground contact, or -1
 
 
-def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: float = 0.3, coarse: bool = False) -> Swing:
+def swing(
+    goals: Array,
+    armature: float = 1.0,
+    ground: float = -np.inf,
+    told: float = 0.3,
+    coarse: bool = False,
+    period_ns: int = PERIOD,
+) -> Swing:
     """Run the detector while one femur follows goals (n,) [rad].
 
     The servo model is the simulator's: a damped spring to the goal with dry friction, a leg and an armature. From the middle
@@ -54,10 +61,12 @@ def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: fl
     tick = dxl.TICK_RAD if coarse else 1e-9
     goals = np.round(goals / tick) * tick
     feeler = TouchdownDetector(PROFILE)
+    feeler.period_ns = period_ns
     inertia = feeler._inertia + (armature - 1.0) * SERVO.armature
     q, angle, speed, load, met = Q.copy(), float(goals[0]), 0.0, 0.0, -1
     touches, pushes = list[bool](), list[float]()
-    dt = PERIOD * 1e-9 / STEPS
+    steps = STEPS * period_ns // PERIOD
+    dt = period_ns * 1e-9 / steps
     for cycle, goal in enumerate(goals):
         before = goals[max(cycle - 1, 0)]
         seen = round(angle / tick) * tick
@@ -65,12 +74,12 @@ def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: fl
         q_goal = q.copy()
         q_goal[LEG, FEMUR] = before
         feeler.begin_cycle(q, q_goal)
-        feeler.add_reading(LEG, FemurReading(seen, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD)))
+        feeler.add_reading(LEG, FemurReading(seen, speed, load, cycle * period_ns, round((cycle - 1 + told) * period_ns)))
         touches.append(bool(feeler.touches[LEG]))
         pushes.append(float(feeler.push[LEG]))
         held = link_torques(PROFILE, q)[LEG, FEMUR]
-        for step in range(STEPS):
-            written = before if step < told * STEPS else goal
+        for step in range(steps):
+            written = before if step < told * steps else goal
             left = np.sign(written - angle) * max(abs(written - angle) - tick, 0.0)
             load = float(np.clip(SERVO.stiffness * left, -SERVO.stall_torque, SERVO.stall_torque))
             sunk = max(ground - angle, 0.0) if cycle > len(goals) / 2 else 0.0
@@ -100,6 +109,19 @@ def test_free_motion_gives_no_contact_at_any_goal_delay(height: float, cycles: i
 def test_quantization_and_compliance_margin_give_no_contact(told: float) -> None:
     for height, cycles in ((0.2, 40), (0.4, 34), (0.6, 34)):
         assert not any(swing(stroke(height, cycles), told=told, coarse=True).touches)
+
+
+@pytest.mark.parametrize("period_ms", [20, 30, 40])
+@pytest.mark.parametrize("told", [0.1, 0.3])
+@pytest.mark.parametrize("height", [0.2, 0.4, 0.6])
+def test_control_rates_of_slow_computers_detect_ground_and_nothing_else(height: float, told: float, period_ms: int) -> None:
+    goals, period_ns = stroke(height, 700 // period_ms), period_ms * 1_000_000
+    free = swing(goals, told=told, period_ns=period_ns)
+    assert not any(free.touches)
+    assert np.abs(free.pushes).max() < 1.0
+    found = swing(goals, ground=Q[LEG, FEMUR] + 0.4 * height, told=told, period_ns=period_ns)
+    assert found.met > 0
+    assert found.touches.index(True) - found.met in (1, 2, 3)
 
 
 def test_push_at_full_torque_is_independent_of_reading_delay() -> None:
