@@ -150,6 +150,7 @@ _MOSTLY_LOST = Limits(decided_s=0.8, named="lost or broken|does not answer|no se
 _TOO_SLOW = Limits(decided_s=0.5, named="too slow: 5 cycles in a row", margin_m=0.010, again_s=2.0)
 _CALM = Limits(walks_on=True)
 _LETS_GO = Limits(off_s=0.060, torque_stays=False)
+_LETS_GO_LATE = Limits(off_s=0.100, torque_stays=False)  # a late cycle and the packet
 
 
 def _bus(target: str, kind: str, for_s: float = _OUT_S, **values: object) -> OnBus:
@@ -204,7 +205,8 @@ _LIMITS_OF_BUSES = {
     **dict.fromkeys(("bus-silent", "bus-stuck", "bus-garbage", "bus-gone"), _NO_BUS),
 }
 _HUNG, _REPEATING, _FUZZED = Meddling("mute", _OUT_S), Meddling("repeating", _OUT_S), Meddling("fuzzed", 1.0)
-_SAG, _STEPPED, _LATE = _bus("supply", "sag", 0.4, volts=3.0), Clock(3600.0, 3.0), Late(0.07, 1.0)
+_SAG, _STEPPED = _bus("supply", "sag", 0.4, volts=3.0), Clock(3600.0, 3.0)
+_SLOW, _LATE = Late(0.04, 1.0), Late(0.07, 1.0)  # as slow as it may walk, and slower
 
 _OFF: tuple[tuple[str, str, tuple[Deed, ...]], ...] = (
     ("off", "the actuator is killed a second later", (Off(), Away("actuator", True, 0.5, 1.5))),
@@ -222,6 +224,7 @@ _OFF: tuple[tuple[str, str, tuple[Deed, ...]], ...] = (
     ("off-planner-repeating", "the planner repeats its last plans", (_REPEATING, Off())),
     ("off-fuzzed-plans", "thousands of fuzzed plans", (_FUZZED, Off())),
     ("off-clock-stepped", "the wall clock is stepped by an hour", (_STEPPED, Off())),
+    ("off-actuator-slow", "the actuator's cycles take 40 ms each", (_SLOW, Off())),
     ("off-actuator-late", "the actuator's cycles take 70 ms each", (_LATE, Off())),
     ("off-actuator-killed", "the actuator is killed", (Away("actuator", True, _RESTART_S), Off())),
     ("off-actuator-stopped", "the actuator is stopped", (Away("actuator", False, _OUT_S), Off())),
@@ -243,6 +246,7 @@ CASES: tuple[Case, ...] = (
         (Away("actuator", False, _STOPPED_S),),
         _STOPPED,
     ),
+    Case("actuator-slow", "the actuator's cycles take 40 ms each, for 1 s", (_SLOW,), Limits(margin_m=0.010)),
     Case("actuator-late", "the actuator's cycles take 70 ms each, for 1 s", (_LATE,), _TOO_SLOW),
     Case("lost-1", "1 % of the answers lost", (_lost(0.01),), _CALM),
     Case("corrupted-1", "1 % of the answers broken", (_corrupted(0.01),), _CALM),
@@ -278,7 +282,17 @@ CASES: tuple[Case, ...] = (
     Case("sag", "the voltage is 3 V lower for 0.4 s", (_SAG,), _CALM),
     Case("fuzzed-plans", "thousands of fuzzed plans for 1 s", (_FUZZED,), Limits(goal_dps=354.0)),  # the servos' maximum speed
     Case("clock-stepped", "the wall clock is stepped by an hour", (_STEPPED,), _CALM),
-    *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=12, watch_s=1.0) for name, words, deeds in _OFF),
+    *(
+        Case(
+            name,
+            f"torque is ordered off; {words}",
+            deeds,
+            _LETS_GO_LATE if _LATE in deeds else _LETS_GO,
+            per_walk=12,
+            watch_s=1.0,
+        )
+        for name, words, deeds in _OFF
+    ),
 )
 
 _BACK_AT_ONCE = replace(_STOPS, rest_s=inf)  # before it has come to rest

@@ -45,10 +45,12 @@ PROMISED: dict[str, Limits] = {
     "overload": Limits(rest_s=1.0, again_s=10.0, lunge_dps=30.0),
     **dict.fromkeys(("heat", "drain"), Limits(seated=True, torque_stays=False)),
     **dict.fromkeys(("lost-1", "corrupted-1", "sag", "clock-stepped"), Limits(walks_on=True)),
+    "actuator-slow": Limits(margin_m=0.010),
     "fuzzed-plans": Limits(goal_dps=354.0),
     "actuator-late": Limits(decided_s=0.5, margin_m=0.010, again_s=2.0),
     "live-hogs": Limits(cycle_s=0.025),
     **{case.name: Limits(off_s=0.060, torque_stays=False) for case in CASES if case.lets_go},
+    "off-actuator-late": Limits(off_s=0.100, torque_stays=False),
 }
 
 

@@ -9,7 +9,6 @@ import pytest
 from benchmarks.faults.cases import BY_NAME, Late
 from benchmarks.faults.lockstep_walk import FaultWalk, gap_after
 from benchmarks.faults.walk_verdict import score
-from sextant.shared.wire.messages import Mode
 
 NOW_AND_THEN = ("bus-intermittent", "noise-bursts", "off-bus-intermittent", "off-noise-bursts")
 
@@ -57,15 +56,14 @@ def test_late_actuator_cycles_are_reported_and_walk_resumes() -> None:
 
 
 @pytest.mark.slow
-def test_robot_walks_on_with_cycles_of_35_ms() -> None:
-    case = replace(BY_NAME["actuator-late"], deeds=(Late(0.035, 3.0),))
+def test_robot_walks_on_with_cycles_of_40_ms() -> None:
+    case = replace(BY_NAME["actuator-slow"], deeds=(Late(0.04, 3.0),))
     with FaultWalk(case, 1000) as walk:
         walk.walk_for(0.5)
         line = walk.what_happens(np.random.default_rng(0))
     found = score(line, case, walk.profile)
-    assert (found.falls, found.missed >= 50) == (0, True)
+    assert (found.falls, found.stops, found.missed >= 50) == (0, 0, True)
     assert found.margin_m > 0.010
-    assert all(word.mode is not Mode.FAULT for word in walk.words), "it has not held"
 
 
 @pytest.mark.slow
