@@ -17,6 +17,7 @@ from sextant.shared.wire.transport import Endpoints
 RESTARTS = 1000
 BASE_ROUTER = "base router"
 WORLD_ROUTER = "world router"
+_URGENT = ("simulator", "actuator")  # processes with real-time priority
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +92,8 @@ def commands(
         (simulator,) = process_table.commands([p for p in here if p.name == "simulator"], chosen, world, extra)
         services = tuple(simulator if one.name == simulator.name else one for one in services)
         router[simulator.name] = WORLD_ROUTER
+    # They stand for hardware, which no program slows down.
+    services = tuple(replace(one, arguments=(*one.arguments, "--urgent")) if one.name in _URGENT else one for one in services)
     needs = {"actuator": ("tap",)}
     return [
         replace(process_table.router_command(places.robot.connect[0], gate.words() if gate else ()), restarts=RESTARTS),

@@ -174,8 +174,6 @@ def _service(command: Command, kind: _Kind) -> str:
         lines += [f"      {name}: {{condition: {_condition(name)}}}" for name in command.after]
     lines += _health(command)
     lines += [f"    mem_limit: {command.memory_mb}m", f"    pids_limit: {PIDS}"]
-    if "--urgent" in command.arguments:
-        lines += ["    ulimits: {rtprio: 10}"]
     if found := _volumes(command):
         lines += ["    volumes:", *(f"      - {volume}" for volume in found)]
     if kind.secrets and KEYS in command.arguments:

@@ -73,7 +73,7 @@ class Process:
     restarts: int  # maximum number of restarts per run after it died
     settings: Callable[[Choices], dict[str, Value]] = field(compare=False)
     nice: int = 0  # niceness [1]: priority is lowered by this; 0 for the processes of the servos
-    urgent: bool = False  # real-time priority, where the user may set it: for loops with a fixed period
+    urgent: bool = False  # real-time priority on a robot, where the user may set it: for loops with a fixed period
     after: tuple[str, ...] = ()  # processes that must be ready before it starts
     ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # once ready it listens there; 0: at once
     watchdog_s: float = 10.0  # [s] its loop may be silent after its first sign of life before it counts as hung
@@ -145,7 +145,6 @@ TABLE: tuple[Process, ...] = (
         "simulation",
         0,
         _simulator,
-        urgent=True,  # the world runs in real time, and its servos answer within milliseconds
         ready_port=lambda choices: choices.bus_port,
         memory_mb=1024,
     ),
@@ -343,7 +342,7 @@ def commands(
                     "--robot",
                     chosen.robot,
                     *_meeting(endpoints),
-                    *_giving_way(p),
+                    *_giving_way(p, chosen),
                     *away,
                     *shared_time,
                     *(("--unpacked",) if p.name in _SCANS_AND_MAPS and started >= _SCANS_AND_MAPS | {"planner"} else ()),
@@ -371,8 +370,9 @@ def _module(process: Process, chosen: Choices) -> str:
     )
 
 
-def _giving_way(process: Process) -> tuple[str, ...]:
-    return (*(("--nice", str(process.nice)) if process.nice else ()), *(("--urgent",) if process.urgent else ()))
+def _giving_way(process: Process, chosen: Choices) -> tuple[str, ...]:
+    urgent = process.urgent and not chosen.scenario  # simulated time waits for a process that is late
+    return (*(("--nice", str(process.nice)) if process.nice else ()), *(("--urgent",) if urgent else ()))
 
 
 def assignment(key: str, value: Value) -> str:

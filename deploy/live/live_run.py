@@ -84,7 +84,7 @@ def run_live_scenario(
         interrupts: The operator's interrupts; entered by the caller, in the main thread.
         attach: Endpoints of services that already run; None starts them.
         started: Receives the launcher once all processes run, for tests that inject faults.
-        slow_down: Let simulated time wait for services that are late on this computer, instead of real time.
+        slow_down: Let simulated time wait also for services that are late on this computer, not only for the simulator.
         page: Page to serve during the run, of services that this function starts; None serves none.
         viewer: Open MuJoCo's viewer.
 
@@ -104,7 +104,7 @@ def run_live_scenario(
         if page and not attach:
             chosen = replace(chosen, console_port=page.port)
             rows = process_table.rearranged(rows, ["console"], [], "all")
-        simulated_time = stack.enter_context(_shared_time(rows)) if slow_down else None
+        simulated_time = None if attach else stack.enter_context(_shared_time(rows if slow_down else ()))
         time_file = simulated_time.path if simulated_time else None
         # 2. Record, command, score and monitor from this process, each over its own link. They connect before the services
         # start, so that the recording has every message.
@@ -123,6 +123,8 @@ def run_live_scenario(
         show = page.show if page else lambda: None
         ended_by = _watch(attendance, attendants, launcher, faults, progress, interrupts, speed, show)
         slowed_down = speed.words(simulated_time.waited_s() if simulated_time else {})
+        if not slow_down and attendance.monitor.lateness.words:
+            slowed_down = ""  # the late inputs say more
         # 4. Stop everything.
         for name in launcher.stop(interrupts.insisted):
             progress.say(f"{name} did not end on request and was killed")
@@ -344,7 +346,10 @@ def _rate(a: tuple[int, int], b: tuple[int, int]) -> float:
 
 @contextlib.contextmanager
 def _shared_time(rows: Sequence[Process]) -> Iterator[SimulatedTime]:
-    """Create a simulated time that this process and its children share."""
+    """Create a simulated time that this process and its children share.
+
+    It waits for late answers of the emulated servos, and for services of the rows whose inputs or cycles are late.
+    """
     with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
         path = Path(folder) / "simulated_time"
         names = [SERVO_BUS, *(p.name for p in rows if p.side not in ("simulation", "page"))]

@@ -131,6 +131,11 @@ class SimulatedTime:
         if word is not None:
             self._words[word] = _NO_LIMIT if limit_ns is None else limit_ns
 
+    def limit(self, name: str) -> int:
+        """Return the limit [ns] of a service, or a time that is never reached."""
+        word = self._index.get(name)
+        return _NO_LIMIT if word is None else int(self._words[word])
+
     def waited_s(self) -> dict[str, float]:
         """Return service -> real time [s] for which simulated time has waited for it."""
         return {name: self._words[word + 1] * 1e-9 for name, word in self._index.items()}
@@ -157,3 +162,9 @@ def hold(name: str, limit_ns: int | None) -> None:
     time_in_use = in_use()
     if isinstance(time_in_use, SimulatedTime):
         time_in_use.hold(name, limit_ns)
+
+
+def limit_of(name: str) -> int:
+    """Return the limit [ns] of a service if this process uses simulated time, else a time that is never reached."""
+    time_in_use = in_use()
+    return time_in_use.limit(name) if isinstance(time_in_use, SimulatedTime) else _NO_LIMIT

@@ -22,7 +22,7 @@ from serial.urlhandler import protocol_socket
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.errors import SextantError
 from sextant.shared.runtime.clock import now_ns
-from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold
+from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold, limit_of
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Packet, PacketParser, ServoError
 
@@ -37,6 +37,7 @@ _SETTLES_NS = 100_000_000  # [ns] after which a lost answer cannot arrive any mo
 _UNASKED_NS = 1_100_000_000  # [ns] of silence of another device: many send once a second
 _UNASKED_BYTES, _UNASKED_READS = 64, 2000  # limits of bytes and reads from it
 _READ_ALL_BYTES = 4096  # [bytes] to read at once: more than can arrive within a timeout
+_SIMULATOR_S = 1.0  # [s] of real time after which the simulator does not answer any more
 _NS_PER_S = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
 _LAST_PORT = 65535
@@ -76,11 +77,17 @@ class _Connection(protocol_socket.Serial):
     def read(self, size: int = 1) -> bytes:
         """Return at most `size` bytes, fewer after the timeout.
 
-        The timeout runs in simulated time if that is shared.
+        The timeout runs in simulated time if that is shared. An answer that is due before it is then not lost if the simulator
+        sends it late, up to a second of real time.
         """
         until_ns = now_ns() + round((self.timeout or 0.0) * 1e9)
+        reads = round(_SIMULATOR_S / max(self.timeout or 0.0, 1e-3))  # each takes at most a timeout of real time
         data: bytes = super().read(size)
-        while len(data) < size and now_ns() < until_ns:
+        while len(data) < size:
+            reads -= 1
+            is_due = limit_of(SERVO_BUS) < until_ns and reads > 0
+            if now_ns() >= until_ns and not is_due and not self.in_waiting:  # in this order: it may arrive meanwhile
+                break
             data += super().read(size - len(data))
         hold(SERVO_BUS, None)
         return data

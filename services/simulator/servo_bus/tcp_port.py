@@ -12,7 +12,7 @@ from types import TracebackType
 
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, HostLink, Outbox, Reply
 from sextant.shared.runtime.clock import now_ns
-from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold
+from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold, limit_of
 
 log = logging.getLogger(__name__)
 
@@ -160,10 +160,9 @@ class TcpBusServer:
                     data = client.recv(_CHUNK_BYTES)
                     if not data:
                         return "client disconnected"
-                    with self.lock:
-                        answers = self._bus.receive(data, self._clock())
+                    with self.lock:  # this thread may have waited: the servos answer as if it had not
+                        answers = self._bus.receive(data, min(self._clock(), limit_of(SERVO_BUS)))
                     outbox.put(answers if self._is_current(self._clock()) else ())
-                    hold(SERVO_BUS, None if outbox.due_ns is None else outbox.due_ns + REACTION_NS)
                 for listener in listeners:
                     if listener in ready:  # while the client is still connected
                         other, peer = listener.accept()
@@ -173,6 +172,8 @@ class TcpBusServer:
                 due = outbox.take(self._clock())
                 if due:
                     client.sendall(due)
+                if (due or client in ready) and not select.select([client], [], [], 0)[0]:  # no other request has arrived
+                    hold(SERVO_BUS, None if outbox.due_ns is None else outbox.due_ns + REACTION_NS)
         except OSError as error:  # reset or broken pipe: the client did not close the connection
             return str(error)
 

@@ -21,11 +21,12 @@ from hypothesis import strategies as st
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.health_monitor import SILENT
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Lost, ServoBus, open_port
+from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS
 from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.runtime import clock
-from sextant.shared.runtime.simulated_time import SERVO_BUS, SimulatedTime
+from sextant.shared.runtime.simulated_time import SERVO_BUS, SPAN_NS, SimulatedTime
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Dropped, ServoError
 
@@ -496,6 +497,26 @@ def test_no_reply_is_lost_when_simulated_time_advances_in_bursts(tmp_path: Path)
         finally:
             over.set()
             thread.join()
+
+
+def test_no_reply_is_lost_to_a_simulator_that_gets_no_processor_time(tmp_path: Path) -> None:
+    machine_ns = [0]
+    time_ = SimulatedTime.create(tmp_path / "time", [SERVO_BUS], lambda: machine_ns[0])
+    time_.grant()
+    with clock.going_by(time_), TcpBusServer(ServoBusEmulator(ServoBank((1,)), BusTiming())) as server:
+        driver = ServoBus(open_port(server.url), (1,), clock.now_ns)
+        found: list[int | None] = []
+        asking = threading.Thread(target=lambda: found.append(driver.read(1, dxl.MODEL_NUMBER)))
+        with server.lock:  # the bus cannot answer
+            asking.start()
+            while time_.limit(SERVO_BUS) > SPAN_NS:  # the request is not sent yet
+                asking.join(0.001)
+            machine_ns[0] = 2 * SPAN_NS
+            assert clock.now_ns() == SPAN_NS > REPLY_TIMEOUT_NS
+        asking.join()
+        assert found == [dxl.MODEL_NUMBER.default]
+        assert driver.lost.total() == 0
+        driver.close()
 
 
 def test_opening_a_missing_port_names_it() -> None:

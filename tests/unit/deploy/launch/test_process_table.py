@@ -113,6 +113,13 @@ def test_actuator_waits_only_for_simulated_bus() -> None:
     assert "--set" not in real["actuator"].arguments
 
 
+def test_only_the_actuator_of_a_robot_has_real_time_priority() -> None:
+    simulated = commands(rows("all", True), Choices(scenario="flat"), ENDPOINTS)
+    real = commands(rows("all", False), Choices(), ENDPOINTS)
+    assert [c.name for c in simulated if "--urgent" in c.arguments] == []
+    assert [c.name for c in real if "--urgent" in c.arguments] == ["actuator"]
+
+
 def test_extra_settings_override_defaults() -> None:
     made = commands(rows("onboard", False), Choices(), ENDPOINTS, {"actuator": ("port=/dev/ttyACM3",)})
     actuator = next(c for c in made if c.name == "actuator")
