@@ -119,13 +119,53 @@ def holes(accessible: NDArray[np.uint8], widest: int) -> NDArray[np.uint8]:
     A hole is a group of zeros surrounded by ones. Zeros that touch, even at corners, are one group. A group that reaches the
     border is no hole.
     """
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(accessible ^ 1, dtype=np.uint8))
-    first = stats[:, [cv2.CC_STAT_TOP, cv2.CC_STAT_LEFT]]
-    size = stats[:, [cv2.CC_STAT_HEIGHT, cv2.CC_STAT_WIDTH]]
-    inner = ((first > 0) & (first + size < accessible.shape)).all(axis=1)
-    small = np.asarray(inner & (size <= widest).all(axis=1), dtype=np.uint8)
-    small[0] = 0  # the cells of 1
-    return np.asarray(small[labels])
+    out = np.zeros(accessible.shape, dtype=np.uint8)
+    _mark_holes(accessible, widest, out)
+    return out
+
+
+@compiled
+def _mark_holes(accessible: NDArray[np.uint8], widest: int, out: NDArray[np.uint8]) -> None:
+    """Write 1 for the cells of `holes`; `out` is zero before.
+
+    A cell is 1 while its run of zeros along the row may be part of a hole, and 2 once its group has been visited.
+    """
+    nx, ny = accessible.shape
+    for i in range(1, nx - 1):
+        before = 0  # the last one of the row, or its first cell
+        for j in range(1, ny):
+            if accessible[i, j] != 0:
+                if 0 < j - before - 1 <= widest and accessible[i, before] != 0:
+                    out[i, before + 1 : j] = 1
+                before = j
+    group = np.empty((8 * widest * widest + 9, 2), dtype=np.int64)  # a visited cell adds at most its 8 neighbours
+    for i in range(1, nx - 1):
+        for j in range(1, ny - 1):
+            if out[i, j] != 1:
+                continue
+            out[i, j] = 2
+            group[0, 0], group[0, 1] = i, j
+            size, visited, is_hole = 1, 0, True
+            last, left, right = i, j, j
+            while visited < size and is_hole:
+                a, b = group[visited, 0], group[visited, 1]
+                visited += 1
+                last, left, right = max(last, a), min(left, b), max(right, b)
+                is_hole = last - i < widest and right - left < widest
+                for u in range(a - 1, a + 2):
+                    for v in range(b - 1, b + 2):
+                        if accessible[u, v] == 0 and out[u, v] == 1:
+                            out[u, v] = 2
+                            group[size, 0], group[size, 1] = u, v
+                            size += 1
+                        elif accessible[u, v] == 0 and out[u, v] == 0:
+                            is_hole = False
+            if not is_hole:
+                for k in range(size):
+                    out[group[k, 0], group[k, 1]] = 0
+    for i in range(nx):
+        for j in range(ny):
+            out[i, j] >>= 1
 
 
 def signed_manhattan(ground: NDArray[np.uint8], bound: int, reach: int) -> NDArray[np.int8]:

@@ -303,10 +303,8 @@ def body_height_and_sigma(pose: BodyPose | None) -> tuple[float, float]:
 
 def _rectangle_of(layer: NDArray[np.uint8] | NDArray[np.bool_]) -> Rectangle:
     """Return the bounding rectangle of nonzero cells, (0, 0, 0, 0) if there is none."""
-    rows, columns = np.flatnonzero(layer.any(axis=1)), np.flatnonzero(layer.any(axis=0))
-    if not len(rows):
-        return 0, 0, 0, 0
-    return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+    numbers = layer.view(np.uint8)
+    return _changed(numbers, np.zeros_like(numbers))
 
 
 def _common(a: Rectangle, b: Rectangle) -> Rectangle:

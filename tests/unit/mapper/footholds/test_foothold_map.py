@@ -182,6 +182,10 @@ def test_hole_is_narrow_and_enclosed_by_ground(mask: Mask, widest: int) -> None:
     for run in (found, found.T):
         lengths = [len(part) for row in run for part in "".join(map(str, row)).split("0")]
         assert max(lengths, default=0) <= widest
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask ^ 1)
+    for label, (j, i, columns, rows, _) in enumerate(stats.tolist()):
+        within = min(i, j) > 0 and i + rows < mask.shape[0] and j + columns < mask.shape[1] and max(rows, columns) <= widest
+        assert label == 0 or (found[labels == label] == within).all(), "all holes, and nothing else"
 
 
 def test_refused_edge_is_not_restored_by_closing_unlike_in_thesis() -> None:
