@@ -154,7 +154,7 @@ class Mapper:
                 np.round(snapshot.origin / snapshot.resolution - 0.5).astype(np.int64),
                 *body_height_and_sigma(pose),
             )
-        self._known = float(np.isfinite(snapshot.elevation).mean())
+        self._known = np.count_nonzero(np.isfinite(snapshot.elevation)) / snapshot.elevation.size
         score, evaluation = self._score(snapshot, layers), layers.evaluation
         made_of: dict[str, NDArray[np.uint8]] = {}
         if self._types.has_types:
@@ -204,4 +204,6 @@ def _measured_variance(snapshot: ElevationSnapshot) -> NDArray[np.float32]:
 
     A plane that is assumed has no uncertain edges.
     """
+    if not snapshot.assumed.any():
+        return snapshot.variance
     return np.where(snapshot.assumed != 0, np.float32(0.0), snapshot.variance)
