@@ -10,7 +10,7 @@ from typing import Protocol, Self
 from sextant.shared.recording.rotation import NoRoomError
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.runtime.zenoh_runner import Link
-from sextant.shared.wire import topics
+from sextant.shared.wire import codec, topics
 
 _QUEUE_FRAMES = 2000  # maximum number of queued frames
 _QUEUE_BYTES = 64 << 20  # maximum total size of queued frames
@@ -152,5 +152,5 @@ class LiveRecorder:
             waiting = list(self._queue)
             self._queue.clear()
             self._waiting_bytes = 0
-        for item in waiting:
-            self._sink.write(*item)
+        for topic, frame, at_ns in waiting:
+            self._sink.write(topic, codec.packed(frame, topic.type), at_ns)

@@ -163,6 +163,16 @@ def check_received(message: Message) -> None:
             raise DecodeError(f"{where}: {problem}")
 
 
+def packed(frame: bytes, kind: type[Message]) -> bytes:
+    """Return a frame with its arrays packed; unchanged if it has none to pack, or does not decode."""
+    if not any(field.packed for field in _layout(kind).fields):
+        return frame
+    try:
+        return encode(*decode(frame, kind))
+    except DecodeError:
+        return frame
+
+
 def label(frame: bytes) -> Label:
     """Decode the header of a frame, without its arrays.
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sextant.shared.files.whole_files import WriteError
@@ -13,6 +14,7 @@ from sextant.shared.recording.rotation import NoRoomError, Rotation
 from sextant.shared.recording.writer import Recorder, Unwritable
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import Scan
 from tests.support.recorded import frames, some_messages
 
 ABOUT = {"scenario": "steps"}
@@ -34,6 +36,20 @@ def test_frames_within_queue_limit_are_recorded(tmp_path: Path) -> None:
     assert (live.taken, live.dropped, live.problem) == (80, 0, "")
     assert [at for _, _, at in read(tmp_path / "r")] == [at for _, _, at in some_messages()]
     assert live.size == (tmp_path / "r").stat().st_size
+
+
+def test_scans_that_arrive_unpacked_are_recorded_packed(tmp_path: Path) -> None:
+    written: list[bytes] = []
+
+    class Memory(Recorder):
+        def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+            written.append(frame)
+
+    none = np.zeros(0, dtype=np.uint8)
+    scan = Scan(1, np.zeros(3), np.zeros((0, 3), dtype=np.int16), none, none, np.zeros(3), np.eye(6))
+    with LiveRecorder(Memory(tmp_path / "r", ABOUT)) as live:
+        live.take(topics.SCAN, codec.encode(scan, packs=False), 7)
+    assert written == [codec.encode(scan)] != [codec.encode(scan, packs=False)]
 
 
 @pytest.mark.parametrize("limit", ["_QUEUE_FRAMES", "_QUEUE_BYTES"])

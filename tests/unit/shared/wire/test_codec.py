@@ -210,6 +210,9 @@ def test_packed_arrays_survive_round_trip(data: st.DataObject, n: int) -> None:
     unpacked = codec.decode(codec.encode(message, packs=False), Packed)[0]
     assert_equal(unpacked, message)
     assert not unpacked.wide.flags.writeable  # type: ignore[attr-defined]
+    timing = codec.Timing(3, 4)
+    assert codec.packed(codec.encode(message, timing, packs=False), Packed) == codec.encode(message, timing)
+    assert codec.packed(b"no frame", Packed) == b"no frame"
 
 
 def test_packing_compresses_similar_neighbours() -> None:
