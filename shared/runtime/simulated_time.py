@@ -21,7 +21,7 @@ from sextant.shared.runtime.clock import in_use
 
 SPAN_NS = 10_000_000  # [ns] maximum simulated time of one grant; it passes at once after all processes stood still
 SERVO_BUS = "servo bus"  # has a limit while data is in transit in either direction
-REACTION_NS = 1_000_000  # [ns] of simulated time that may pass during this
+REACTION_NS = 8_000_000  # [ns] of simulated time that may pass after it is due; two ticks of the simulator, so that none waits
 _PATIENCE_NS = 1_000_000_000  # [ns] of real time for which simulated time waits at one limit
 _NO_LIMIT = (1 << 63) - 1
 _COUNT, _RECORDS, _RECORD, _SLOTS = 0, 1, 3, 7  # indices: count, first of two records, words per record, first limit

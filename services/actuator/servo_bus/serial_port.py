@@ -85,7 +85,7 @@ class _Connection(protocol_socket.Serial):
         data: bytes = super().read(size)
         while len(data) < size:
             reads -= 1
-            is_due = limit_of(SERVO_BUS) < until_ns and reads > 0
+            is_due = limit_of(SERVO_BUS) - REACTION_NS < until_ns and reads > 0
             if now_ns() >= until_ns and not is_due and not self.in_waiting:  # in this order: it may arrive meanwhile
                 break
             data += super().read(size - len(data))

@@ -161,7 +161,7 @@ class TcpBusServer:
                     if not data:
                         return "client disconnected"
                     with self.lock:  # this thread may have waited: the servos answer as if it had not
-                        answers = self._bus.receive(data, min(self._clock(), limit_of(SERVO_BUS)))
+                        answers = self._bus.receive(data, min(self._clock(), limit_of(SERVO_BUS) - REACTION_NS))
                     outbox.put(answers if self._is_current(self._clock()) else ())
                 for listener in listeners:
                     if listener in ready:  # while the client is still connected
