@@ -254,7 +254,7 @@ class _Replay:
     def _map_of(self, stamp_ns: int) -> TerrainMap | None:
         """Return the new map at a time, or at one scan before or after it.
 
-        A mapper publishes the map of every second scan.
+        Not every scan has a map if `publish_every` is above 1.
         """
         nearest = min(self.maps, key=lambda stamp: abs(stamp - stamp_ns), default=None)
         near_ns = 1.5e9 / topics.SCAN.rate_hz

@@ -15,7 +15,7 @@ from sextant.shared.wire import topics
 class MapperParams(Params):
     """Parameters of the mapper."""
 
-    publish_every: int = ranged(2, 1, 1000)  # scans per published map
+    publish_every: int = ranged(1, 1, 1000)  # scans per published map
     # The camera sees nothing within half a metre. The ground there is assumed to be the feet's plane, and marked as assumed.
     assumed_ahead: float = ranged(0.70, 0.0, 3.0)  # [m] assumed ground ahead of the body's centre
     assumed_behind: float = ranged(0.45, 0.0, 3.0)  # [m] assumed ground behind it

@@ -33,6 +33,7 @@ class Planner:
 
     name = "planner"
     trigger: AnyTopic = topics.ACTUATOR_STATE
+    retrigger: AnyTopic = topics.TERRAIN
     subscribes: tuple[AnyTopic, ...] = (
         topics.BODY_POSE,
         topics.TERRAIN,
@@ -73,7 +74,7 @@ class Planner:
         return f"{self._decision.state}: {self._decision.reason}"
 
     def step(self, state: ActuatorState, inbox: Inbox) -> Iterator[Message]:
-        """Track the legs and plan when a plan is due."""
+        """Track the legs and plan when a plan is due: with each new map, or after a pause."""
         if state.stamp_ns - self._state_ns > _PAUSE_NS:
             self._goals.pause()
         self._state_ns = state.stamp_ns
@@ -83,7 +84,7 @@ class Planner:
         if pose is not None:
             self._goals.add_pose(pose)
             self._missing_ground.update(state, pose.T_world_odom)
-        decision = self._decide(state, inbox) if state.stamp_ns >= self._due_ns else None
+        decision = self._decide(state, inbox) if self._is_due(state, inbox) else None
         if decision is not None:
             yield from self._execute(decision, state)
         renewed = self._plans.renew(state, pose)
@@ -93,6 +94,15 @@ class Planner:
         if state.stamp_ns >= self._status_due_ns:
             self._status_due_ns = state.stamp_ns + _STATUS_PERIOD_NS
             yield self._status(state)
+
+    def _is_due(self, state: ActuatorState, inbox: Inbox) -> bool:
+        """Return whether to decide: after a pause, or when a map arrives after a step by an older one.
+
+        Refused steps are replaced after a pause: the refusal of the newest one may be on its way.
+        """
+        step = self._decision.step
+        by_map = step is not None and step.map_ns >= 0 and not self._plans.refusals.count
+        return state.stamp_ns >= self._due_ns or (by_map and inbox.waiting(topics.TERRAIN))
 
     def _execute(self, decision: Decision, state: ActuatorState) -> Iterator[Message]:
         """Yield the plan of a decision, and keep the decision for the status."""

@@ -282,7 +282,7 @@ class Lockstep:
                 continue
             worker = self._workers[name]
             worker.inbox.receive(topic, frame, self.now_ns)  # a hung service reads it later
-            if outage is None and worker.service.trigger is topic:
+            if outage is None and topic in worker.triggers:
                 self._guarded(name, worker.arrived)
 
 

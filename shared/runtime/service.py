@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
@@ -281,6 +281,16 @@ class Service(Protocol):
         ...
 
 
+@runtime_checkable
+class Retriggered(Protocol):
+    """Service that repeats its step when another topic arrives, with the newest trigger message."""
+
+    @property
+    def retrigger(self) -> AnyTopic:
+        """That topic, one of `subscribes`."""
+        ...
+
+
 class ServiceRunner:
     """Runs the steps of one service and sends their messages; both runners use it."""
 
@@ -312,6 +322,8 @@ class ServiceRunner:
         self.subscribes = tuple(
             dict.fromkeys([*([] if isinstance(service.trigger, Every) else [service.trigger]), *service.subscribes])
         )
+        self._retrigger = service.retrigger if isinstance(service, Retriggered) else None
+        self.triggers = frozenset((service.trigger, self._retrigger))  # topics whose arrival calls `arrived`
         self.inbox = Inbox(self.subscribes, service.stages, wanted, decode, self.ages, robot_time)
         self._send, self._encode = send, encode
         self._clock = clock
@@ -330,12 +342,20 @@ class ServiceRunner:
         self._step(Tick(now_ns))
 
     def arrived(self) -> None:
-        """Run one step for every waiting message of the trigger topic."""
+        """Run one step for every waiting message of the trigger topic.
+
+        Without any, repeat the step with the newest one if the second trigger has a message.
+        """
         pace = self.service.trigger
-        if not isinstance(pace, Every):
-            self.inbox.now_ns = self._clock()
-            for message in self.inbox.drain(pace):
-                self._step(message)
+        if isinstance(pace, Every):
+            return
+        self.inbox.now_ns = self._clock()
+        messages = self.inbox.drain(pace)
+        if not messages and self._retrigger is not None and self.inbox.waiting(self._retrigger):
+            newest = self.inbox.latest(pace)
+            messages = [] if newest is None else [newest]
+        for message in messages:
+            self._step(message)
 
     def _step(self, message: Message) -> None:
         began_ns = self.inbox.now_ns = self._clock()

@@ -23,14 +23,14 @@ class WarmupRunner:
     def deliver(self, message: Message) -> None:
         """Deliver a message at the time of its stamp [ns], if the service subscribes to its topic.
 
-        If the topic is the trigger, the service runs a step.
+        If the topic is a trigger, the service runs a step.
         """
         topic = topics.OF_TYPE[type(message)]
         if topic not in self._worker.subscribes:
             return
         self._now_ns = max(self._now_ns, message.stamp_ns)
         self._worker.inbox.receive(topic, codec.encode(message), self._now_ns)
-        if topic is self._trigger:
+        if topic in self._worker.triggers:
             self._worker.arrived()
 
     def tick(self, for_s: float) -> None:

@@ -120,7 +120,7 @@ def run_live(
 
     def receive(topic: AnyTopic, frame: bytes) -> None:
         worker.inbox.receive(topic, frame, clock())
-        if topic is pace:
+        if topic in worker.triggers:
             arrived.set()
 
     fetches = isinstance(pace, Every) and pace.fetches

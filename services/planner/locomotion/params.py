@@ -36,7 +36,7 @@ class RevisionParams(Params):
     plan_from_phase: float = ranged(0.55, 0.0, 0.95)  # [1] phase of a step from which the next step is planned
     retarget_until_phase: float = ranged(0.45, 0.0, 0.95)  # [1] phase of a step until which its touchdowns may move
     retarget_from_m: float = ranged(0.004, 0.0, 0.1)  # [m] minimum change of a touchdown for a revision
-    interval_s: float = ranged(0.20, 0.01, 5.0)  # [s] between plans of the next step
+    interval_s: float = ranged(0.20, 0.01, 5.0)  # [s] between plans of the next step by the same map
     pose_age_s: float = ranged(0.4, 0.01, 5.0)  # [s] maximum age of a pose; leg odometry bridges the time between two poses
     map_age_s: float = ranged(0.8, 0.01, 10.0)  # [s] maximum age of the terrain map
 

@@ -136,8 +136,9 @@ class PlanTracker:
     def _send(self, state: ActuatorState, step: NumberedStep) -> StepPlan:
         revision = 1 + max((sent.plan.revision for sent in self._sent if sent.plan.step == step.number), default=0)
         planned = step.planned
+        newest_ns = self._sent[-1].plan.stamp_ns if self._sent else -1
         plan = StepPlan(
-            stamp_ns=state.stamp_ns,
+            stamp_ns=max(state.stamp_ns, newest_ns + 1),  # it identifies the plan
             epoch=state.epoch,
             step=step.number,
             revision=revision,

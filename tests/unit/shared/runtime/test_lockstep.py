@@ -299,3 +299,23 @@ def test_service_that_cannot_restart_has_failed() -> None:
     run = Lockstep(makers, outages=[Outage("console", 20 * MS, 40 * MS, kill=True)])
     with pytest.raises(ServiceFailedError, match="console failed: StopIteration"):
         run.run(100 * MS)
+
+
+@dataclass
+class Repeated(Scripted):
+    """A service that also steps on mode commands."""
+
+    retrigger: AnyTopic = MODE
+
+
+def test_second_trigger_repeats_step_with_newest_message() -> None:
+    repeated = Repeated("planner", VELOCITY, (MODE,), act=lambda _velocity, box: box.drain(MODE)[:0])
+    run = Lockstep({"planner": lambda: repeated}, latency_s={VELOCITY.key: 0.0, MODE.key: 0.0})
+    run.say(order(1))
+    run.run(0)
+    assert seen(run) == [], "there is no message to repeat the step with"
+    run.say(velocity(5))
+    run.run(10 * MS)
+    run.say(order(2))
+    run.run(20 * MS)
+    assert [(at, v.stamp_ns) for at, v in seen(run)] == [(0, 5), (10 * MS, 5)]
