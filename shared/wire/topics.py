@@ -1,9 +1,10 @@
 """Topic table: key, type, rate, delivery, lane, size limit and latency per topic.
 
 Lockstep delays each message by `latency_s`: the time from the start of the step that makes it to its receipt, including
-computation. The defaults are 99th percentiles of live runs on two cores, the median of five runs. `sextant run steps --json`
-prints these percentiles under stages_ms. Topics that such a run does not carry (colour, IMU) or does not time (health) have
-the latency of a similar topic.
+computation. The defaults are 99th percentiles of live runs on two cores: of one run of `steps` on a quiet machine (version
+0.1.0, November 2026) for depth images, odometry, state, pose, scans, maps, step plans and planner status; of five runs, the
+median, for the others. `sextant run steps --json` prints these percentiles under stages_ms. Topics that such a run does not
+carry (colour, IMU) or does not time (health) have the latency of a similar topic.
 """
 
 import math
@@ -76,22 +77,22 @@ class Topic(Generic[M]):
 _KIB = 1024
 _CHANGES = " and at each change"
 
-DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.010)
+DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.008)
 COLOR = Topic("camera/color", m.ColorImage, 5.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.015)
 CAMERA_STATE = Topic("camera/state", m.CameraState, 4.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.003)
 PREVIEW = Topic("camera/preview", m.Preview, 5.0, Delivery.LATEST, Lane.BULK, 300 * _KIB, 0.010)
 IMU = Topic("imu", m.Imu, 100.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
-ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.013)
-ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.015, _CHANGES)
-BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.010)
-SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.012)
+ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.017)
+ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.019, _CHANGES)
+BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.015)
+SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.018)
 SCAN_RECEIPT = Topic("mapper/receipt", m.ScanReceipt, 15.0, Delivery.LATEST, Lane.CONTROL, 1 * _KIB, 0.004)
-TERRAIN = Topic("mapper/terrain", m.TerrainMap, 15.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.039)
+TERRAIN = Topic("mapper/terrain", m.TerrainMap, 15.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.030)
 PASSAGE_REQUEST = Topic("passage/request", m.PassageRequest, 2.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 PASSAGE = Topic("mapper/passage", m.PassageMap, 2.0, Delivery.LATEST, Lane.BULK, 2048 * _KIB, 0.090)
 PASSAGE_PLAN = Topic("planner/passage", m.PassagePlan, 2.0, Delivery.EVERY, Lane.BULK, 512 * _KIB, 0.012)
-STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.009)
-PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.007)
+STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.022)
+PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.021)
 VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 GOAL = Topic("operator/goal", m.Goal, 5.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
 MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
