@@ -201,3 +201,8 @@ def test_refused_revision_is_followed_by_the_running_plan_at_once(plans: PlanTra
     renewed = plans.renew(refusal, None)
     assert renewed is not None
     np.testing.assert_allclose(renewed.touchdown, first.touchdown)
+
+
+def test_plans_of_one_state_have_different_stamps(plans: PlanTracker) -> None:
+    sent = [plans.send(state(20), numbered()) for _ in range(3)]
+    assert [plan.stamp_ns - 20 * MS for plan in sent] == [0, 1, 2], "the actuator names a plan by its stamp"
