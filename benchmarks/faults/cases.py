@@ -141,7 +141,7 @@ _OUT_S = 2.0  # [s] duration of a fault
 _RESTART_S = 1.0  # [s] until a killed actuator has restarted: detected, started, imported
 _STOPPED_S = 3.4  # [s] duration of a stopped actuator
 _STOPPED = Limits(decided_s=3.5, jump_deg=2.0)
-_STOPS = Limits(decided_s=0.25, named="no new plan", rest_s=0.7, margin_m=0.010, again_s=2.0)
+_STOPS = Limits(decided_s=0.28, named="no new plan", rest_s=0.7, margin_m=0.010, again_s=2.0)
 _ONE_SERVO = Limits(decided_s=0.25, named=r"\(id {servo}\)", again_s=3.0)
 _NO_BUS = Limits(decided_s=0.25, named="no servo answers|port", again_s=3.0)
 # More than 30 % loss for 200 ms stops the robot. With 40 % drawn at random, 40 requests in a row reach that

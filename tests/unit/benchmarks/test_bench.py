@@ -134,11 +134,11 @@ def test_accuracy_command_writes_tables(
     assert len(asked) == 2 * len(rows)
     assert rows[0]["drift"] == {"median": 0.003, "worst": 0.004}
     assert "3.0 (4.0)" in capsys.readouterr().out
-    plugin = ("--registration", "tests.support.plugins:Shifted", "--set", "mapper.publish_every=1")
+    plugin = ("--registration", "tests.support.plugins:Shifted", "--set", "mapper.publish_every=2")
     assert cli.main(["accuracy", "--seeds", "1000:1001", "--out", str(tmp_path), *plugin]) == 0
     beside = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
     assert len(beside) == 2 * len(rows)
-    assert [row["method"] for row in beside[:2]] == ["Sextant", "tests.support.plugins:Shifted, mapper.publish_every=1"]
+    assert [row["method"] for row in beside[:2]] == ["Sextant", "tests.support.plugins:Shifted, mapper.publish_every=2"]
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ def test_each_target_and_kind_has_a_case(target: str, kind: str) -> None:
     assert (target, kind) in {(fault.target, fault.kind) for fault in faults}
 
 
-STOPS = Limits(decided_s=0.25, rest_s=0.7, margin_m=0.010, again_s=2.0)
+STOPS = Limits(decided_s=0.28, rest_s=0.7, margin_m=0.010, again_s=2.0)
 BACK, HUNG = Limits(decided_s=1.5, jump_deg=2.0), Limits(decided_s=3.5, jump_deg=2.0)
 NAMED = Limits(decided_s=0.25, again_s=3.0)
 PROMISED: dict[str, Limits] = {
