@@ -58,7 +58,7 @@ def test_lines_of_other_program_are_skipped_and_invalid_ones_raise(tmp_path: Pat
 def test_row_passes_only_if_each_injection_keeps_all_limits() -> None:
     assert tables.row(KILLED, [GOOD] * 3).passed
     wrongs = (
-        replace(GOOD, decided_s=0.26),
+        replace(GOOD, decided_s=0.29),
         replace(GOOD, decided_s=nan),
         replace(GOOD, rest_s=0.71),
         replace(GOOD, margin_m=0.009),
