@@ -24,6 +24,7 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, PlannerStatus, VelocityCommand
 
 _STATUS_PERIOD_NS = 100_000_000
+CAPTURE_TO_PLAN = "capture to plan"  # stage: from a depth image to the actuator state that executes a plan by its map
 _PAUSE_NS = 500_000_000  # [ns] between two actuator states, above which the time between them does not count as a stall
 _MAX_STATE_AGE_S = 0.45  # [s] a plan made from an older actuator state arrives too late to be executed
 
@@ -78,8 +79,11 @@ class Planner:
         if state.stamp_ns - self._state_ns > _PAUSE_NS:
             self._goals.pause()
         self._state_ns = state.stamp_ns
+        map_ns = self._plans.executed_map_ns
         if self._plans.update(state):
             self._due_ns = 0  # a new step: check its touchdowns immediately
+        if self._plans.executed_map_ns > map_ns:
+            self.stages.add(CAPTURE_TO_PLAN, (state.stamp_ns - self._plans.executed_map_ns) * 1e-6)
         pose = inbox.latest(topics.BODY_POSE)
         if pose is not None:
             self._goals.add_pose(pose)

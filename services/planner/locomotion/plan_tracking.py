@@ -59,6 +59,7 @@ class PlanTracker:
         self._step, self._begun_ns = -1, 0  # the running step, or the last one, and when it was first received
         self._moved_ns = 0  # [ns] when the legs last moved
         self._renew_ns = 0
+        self.executed_map_ns = -1  # [ns] stamp of the newest map of an executed plan
         self._revision: SentPlan | None = None  # newest one of the running step, which the actuator may still execute
 
     def update(self, state: ActuatorState) -> bool:
@@ -91,6 +92,7 @@ class PlanTracker:
             if before is not None and state.plan_ns < 0 and state.step == before.plan.step:
                 self.reversed_legs = before.plan.swing.copy()
             return False
+        self.executed_map_ns = max(self.executed_map_ns, running.plan.map_ns)
         if before is not None and before.plan.step == running.plan.step:
             return False
         self.refusals.forget()

@@ -116,6 +116,16 @@ def test_planner_steps_with_all_inputs() -> None:
     assert rig.planner.status().startswith("stepping")
 
 
+def test_time_from_depth_image_to_executed_plan_is_a_stage() -> None:
+    rig = Rig()
+    (plan,) = rig.plans()
+    assert "capture to plan" not in rig.planner.stages.percentiles()
+    rig.cycle()
+    rig.begin(plan)
+    rig.cycle()
+    assert rig.planner.stages.percentiles()["capture to plan"] == pytest.approx((40.0, 40.0))
+
+
 def test_reduced_servo_pace_shortens_step() -> None:
     rig = Rig()
     rig.state = replace(rig.state, speed_scale=0.5)

@@ -146,8 +146,10 @@ export class Panels {
 
   health(message) {
     const slow = message.too_slow ? [item(message.too_slow)] : [];
+    const p99 = message.services.map((service) => service.stages["capture to plan"]).find((ms) => ms !== undefined);
+    const latency = p99 === undefined ? [] : [item(`depth image to legs: 99 % within ${p99.toFixed(0)} ms`)];
     slow.forEach((line) => line.classList.add("silent", "slow"));
-    $("service-list").replaceChildren(...slow, ...message.services.map((service) => {
+    $("service-list").replaceChildren(...slow, ...latency, ...message.services.map((service) => {
       const line = document.createElement("li");
       const name = document.createElement("b");
       name.textContent = `${service.name} `;

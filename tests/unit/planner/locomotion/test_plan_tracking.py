@@ -192,6 +192,18 @@ def test_revision_on_its_way_is_renewed_in_place_of_the_running_plan(plans: Plan
     np.testing.assert_allclose(lost.touchdown, first.touchdown, err_msg="without an answer the revision counts as lost")
 
 
+def test_newest_map_of_executed_plans_is_kept(plans: PlanTracker) -> None:
+    first = plans.send(state(), numbered())
+    plans.update(during(first, 20))
+    assert plans.executed_map_ns == first.map_ns == -1
+    revision = plans.send(during(first, 40), moved_step(0.01))
+    assert plans.executed_map_ns == -1, "it is on its way"
+    plans.update(during(revision, 60))
+    assert plans.executed_map_ns == 7
+    plans.update(during(first, 80))
+    assert plans.executed_map_ns == 7, "an older one does not replace it"
+
+
 def test_refused_revision_is_followed_by_the_running_plan_at_once(plans: PlanTracker) -> None:
     first = plans.send(state(), numbered())
     plans.update(during(first, 20))
