@@ -308,6 +308,7 @@ def test_page_looks_right_on_desktop_and_phone(
     hand.click("#look")
     walk(robot, hand)
     hand.page.wait_for_selector("#depth:not([hidden])")
+    hand.page.wait_for_function("() => document.getElementById('service-list').innerText.includes('depth image to legs')")
     hand.page.screenshot(path=folder / "page.png")
     hand.release()
     wait_until_standing(robot)
