@@ -23,8 +23,8 @@ from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, PlannerStatus, VelocityCommand
 
+_CAPTURE_TO_PLAN = "capture to plan"  # stage: from a depth image to the actuator state that executes a plan by its map
 _STATUS_PERIOD_NS = 100_000_000
-CAPTURE_TO_PLAN = "capture to plan"  # stage: from a depth image to the actuator state that executes a plan by its map
 _PAUSE_NS = 500_000_000  # [ns] between two actuator states, above which the time between them does not count as a stall
 _MAX_STATE_AGE_S = 0.45  # [s] a plan made from an older actuator state arrives too late to be executed
 
@@ -83,7 +83,7 @@ class Planner:
         if self._plans.update(state):
             self._due_ns = 0  # a new step: check its touchdowns immediately
         if self._plans.executed_map_ns > map_ns:
-            self.stages.add(CAPTURE_TO_PLAN, (state.stamp_ns - self._plans.executed_map_ns) * 1e-6)
+            self.stages.add(_CAPTURE_TO_PLAN, (state.stamp_ns - self._plans.executed_map_ns) * 1e-6)
         pose = inbox.latest(topics.BODY_POSE)
         if pose is not None:
             self._goals.add_pose(pose)

@@ -52,7 +52,7 @@ class LegLinks:
 
 
 class CoxaFrame(NamedTuple):
-    """A coxa frame in plain numbers, for the control loop: for six legs an array costs more than its arithmetic."""
+    """A coxa frame in plain numbers, because for six legs arrays take longer than the arithmetic itself."""
 
     cos: float  # of the neutral yaw
     sin: float
@@ -211,7 +211,7 @@ class Stance:
     # [m/s] speed of swinging feet, height counted twice; a faster swing takes more time instead, or the servos overheat
     foot_speed: float
     # These also scale with the size of the robot; the defaults are for a PhantomX.
-    search_radius: float = 0.06  # [m] around the nominal foothold, for the foothold search
+    search_radius: float = 0.06  # [m] radius of the foothold search around the nominal foothold
     foot_distance: float = 0.06  # [m] minimum between feet
     support_margin: float = 0.02  # [m] minimum distance of the centre of mass from the edges of each support polygon
     max_climb: float = 0.03  # [m] maximum change of body height in one step

@@ -75,7 +75,7 @@ class HandOver:
         self._shown: tuple[bytes, _Copy] | None = None  # newest frame for the tap
 
     def frame(self, copy: "_Copy") -> bytes:
-        """Return the frame of a copy, for the tap."""
+        """Encode a copy as the frame that the tap receives."""
         frame = codec.encode(copy.message, copy.timing)
         self._shown = frame, copy
         return frame
@@ -157,7 +157,7 @@ class Lockstep:
         self._sequence = 0
         self._workers: dict[str, ServiceRunner] = {}
         self._readers: dict[str, list[str]] = {}
-        self._sent: list[tuple[AnyTopic, Frame]] = []  # frames of the current step, for the tap
+        self._sent: list[tuple[AnyTopic, Frame]] = []  # frames of the current step, which the tap receives at its end
         for order, name in enumerate(makers):
             self._start(name)
             pace = self._workers[name].service.trigger

@@ -287,7 +287,7 @@ class Retriggered(Protocol):
 
     @property
     def retrigger(self) -> AnyTopic:
-        """That topic, one of `subscribes`."""
+        """Topic whose messages also start a step; it must be one of `subscribes`."""
         ...
 
 

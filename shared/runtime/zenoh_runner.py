@@ -81,7 +81,7 @@ def run_live(
 ) -> None:
     """Run one service in this process until `stop` is set.
 
-    Stamps are by the robot's clock (`sextant.shared.runtime.clock`). That is real time, except in a simulated run: there
+    Stamps are by the robot's clock (`sextant.shared.runtime.clock`). It runs in real time, except in a simulated run, where
     `shared.runtime.simulated_time` waits for this service if it is late.
 
     Args:

@@ -114,12 +114,7 @@ def _update_heat(
     duty_sum: Array,
     tripped: NDArray[np.uint8],
     dt: float,
-    stall_duty: float,
-    stall_time: float,
-    max_duty_integral: float,
-    ambient: float,
-    cooling_time: float,
-    heating: float,
+    protection: tuple[float, ...],
 ) -> tuple[float, bool]:
     """Update temperature and overload of n servos by one physics step, in place.
 
@@ -132,16 +127,13 @@ def _update_heat(
         duty_sum: (n,) [s] the same over all other slices.
         tripped: (n,) error bits whose conditions are met, overwritten.
         dt: [s] duration of the step.
-        stall_duty: [1] duty from which a servo stalls.
-        stall_time: [s] of a stall after which it trips.
-        max_duty_integral: [s] maximum integral of the duty over the sliding window.
-        ambient: [deg C].
-        cooling_time: [s] time constant.
-        heating: [K/s] at a duty of 1.
+        protection: [1] duty from which a servo stalls, [s] of a stall after which it trips, [s] maximum integral of the duty
+            over the sliding window, [deg C] ambient temperature, [s] time constant of cooling, [K/s] heating at a duty of 1.
 
     Returns:
         The sum of the duties, and whether any servo trips.
     """
+    stall_duty, stall_time, max_duty_integral, ambient, cooling_time, heating = protection
     total, any_tripped = 0.0, False
     for i in range(load.size):
         duty = abs(load[i])
@@ -450,7 +442,7 @@ class ServoBank:
         p = self.protection
         duty_sum, tripped = _update_heat(
             self._load, self.temperature, self._temperature_limit, self._stalled_for, self._buckets[self._bucket],
-            self._duty_sum, self._tripped, dt, *self._protection_limits,
+            self._duty_sum, self._tripped, dt, self._protection_limits,
         )  # fmt: skip
         self._bucket_time += dt
         if self._bucket_time >= p.mean_time / _BUCKETS - _EPS:
