@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.shared.geometry import Array, apply, rotation_from_rpy, transform
+from sextant.shared.geometry import Array, apply, transform
 from sextant.shared.robot.kinematics import leg_points
 from sextant.shared.robot.profile import RobotProfile
 
@@ -145,8 +145,7 @@ def _camera(solids: Solids, profile: RobotProfile, T: Array) -> None:
     foot = np.array([mount[0] - 0.02, mount[1], profile.body.size[2] / 2])
     low, high = apply(T, np.array([foot, mount - np.array([0.02, 0.0, 0.0])]))
     solids.limb(low, high, 0.007, 0.006, JOINT)
-    look = transform(rotation_from_rpy((0.0, np.radians(camera.pitch_down_deg), 0.0)), mount)
-    head = T @ look @ transform(np.eye(3), np.array([-0.014, 0.0, 0.0]))
+    head = T @ camera.T_body_mount @ transform(np.eye(3), np.array([-0.014, 0.0, 0.0]))
     solids.rounded_box(head, (0.034, 0.125, 0.030), 0.010, SHELL)
     for y, radius in ((-0.034, 0.0085), (0.0, 0.0065), (0.034, 0.0085)):
         lens = apply(head, np.array([[0.011, y, 0.0], [0.0125, y, 0.0]]))

@@ -45,6 +45,7 @@ class Perception:
         self.max_age_s = {topics.DEPTH.key: _MAX_FRAME_AGE_S}
         self.stages = Stages()
         self._settings, self._camera = settings, profile.camera
+        self._time_offset_ns = round(profile.camera.time_offset_s * 1e9)
         intrinsics = profile.camera.intrinsics
         self._odometry = OdometryHistory()
         self._check = FrameCheck((intrinsics.height, intrinsics.width))
@@ -79,11 +80,17 @@ class Perception:
             self._link.record_receipt(receipt.stamp_ns, inbox.now_ns)
         self._link.check_overdue(inbox.now_ns)
         self._frames += 1
+        if self._time_offset_ns:
+            image = replace(image, stamp_ns=self._exposed_ns(image))
         if self._frames % self._every:
             self._keep_for_color(image)
             return
         yield from self._pose_and_scan(image, inbox)
         yield from self._preview(image, inbox)
+
+    def _exposed_ns(self, image: DepthImage | ColorImage) -> int:
+        """Return the time [ns] at which an image was exposed."""
+        return max(0, image.stamp_ns - self._time_offset_ns)
 
     def _pose_and_scan(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
         """Register a frame, and yield its pose and its scan."""
@@ -161,7 +168,7 @@ class Perception:
         if picture is None:
             return scan
         with self.stages("color"):
-            color = coloring.colors(scan.points, picture.stamp_ns, picture.rgb)
+            color = coloring.colors(scan.points, self._exposed_ns(picture), picture.rgb)
         if coloring.problem:
             self._words += f"; {coloring.problem}"
         return replace(scan, color=color) if len(color) else scan

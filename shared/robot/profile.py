@@ -245,12 +245,18 @@ class Stance:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """Depth camera and its mount: it looks along body x, pitched down."""
+    """Depth camera and its mount.
+
+    Without angles it looks along body x. It is turned left by yaw, then down by pitch, then about its line of sight by roll.
+    """
 
     intrinsics: Intrinsics
     sensor: DepthSensor
     mount_xyz: tuple[float, float, float]  # [m] {body} optical centre
     pitch_down_deg: float  # [deg] below the horizontal
+    roll_deg: float = 0.0  # [deg] about the line of sight; positive raises the camera's left side
+    yaw_deg: float = 0.0  # [deg] left of body x
+    time_offset_s: float = 0.0  # [s] from the exposure of an image to its stamp
     color: bool = False  # whether it also sends colour images
     # Driver on the robot: "openni2", "realsense", the path of a recorded folder, or "none".
     device: str = "none"
@@ -258,6 +264,8 @@ class Camera:
     checks = (
         *config.each("mount_xyz", lambda place: abs(place) <= 10, "at most 10 m either way"),
         *config.each("pitch_down_deg", lambda pitch: -45.0 <= pitch <= 90.0, "an angle from -45 (up) to 90 (straight down)"),
+        *config.each("roll_deg yaw_deg", lambda angle: abs(angle) <= 180.0, "an angle from -180 to 180 deg"),
+        *config.each("time_offset_s", lambda offset: abs(offset) <= 1.0, "at most 1 s either way"),
         *config.each(
             "device", lambda device: device.strip() != "", '"openni2", "realsense", "none" or the path of a recorded folder'
         ),
@@ -267,16 +275,22 @@ class Camera:
         config.verify(self)
 
     @property
+    def T_body_mount(self) -> Array:
+        """Pose (4, 4) of the camera in the body frame, with x along the line of sight, y left, z up."""
+        return _mount_pose(self.mount_xyz, (self.roll_deg, self.pitch_down_deg, self.yaw_deg)).copy()
+
+    @property
     def T_body_camera(self) -> Array:
         """Pose (4, 4) of the optical frame (x right, y down, z forward) in the body frame."""
-        return _camera_pose(self.mount_xyz, self.pitch_down_deg).copy()
+        return np.asarray(self.T_body_mount @ _T_MOUNT_CAMERA)
+
+
+_T_MOUNT_CAMERA = transform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
 
 
 @cache
-def _camera_pose(mount_xyz: tuple[float, float, float], pitch_down_deg: float) -> Array:
-    look = from_xyz_rpy(mount_xyz, (0.0, np.radians(pitch_down_deg), 0.0))
-    optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    return np.asarray(look @ transform(optical, np.zeros(3)))
+def _mount_pose(mount_xyz: tuple[float, float, float], rpy_deg: tuple[float, float, float]) -> Array:
+    return from_xyz_rpy(mount_xyz, np.radians(rpy_deg))
 
 
 @dataclass(frozen=True, slots=True)

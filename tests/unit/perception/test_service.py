@@ -137,6 +137,19 @@ def test_true_motion_is_tracked_with_odometry_prior(world) -> None:  # type: ign
     assert "overlap" in rig.perception.status()
 
 
+def test_pose_belongs_to_exposure_of_late_stamped_image(world) -> None:  # type: ignore[no-untyped-def]
+    late = replace(PROFILE, camera=replace(PROFILE.camera, time_offset_s=2 * FRAME * 1e-9))
+    rig = Rig(world, "flat", profile=late)
+    for k in range(8):
+        seen = body_at(0.02 * max(k - 2, 0))
+        messages = rig.frame(seen, body_at(0.02 * k))
+        if k < 2:
+            continue  # exposed before the first odometry
+        pose = pose_of(messages)
+        assert pose.stamp_ns == rig.now_ns - 2 * FRAME
+        np.testing.assert_allclose(pose.T_world_body[:3, 3], seen[:3, 3], atol=1e-3)
+
+
 def test_unobservable_directions_on_level_ground_are_reported(world) -> None:  # type: ignore[no-untyped-def]
     poses = []
     for scene in ("flat", "pillars"):

@@ -108,6 +108,18 @@ def test_camera_points_ahead_and_down() -> None:
     assert T[2, 1] < 0.0  # its lower edge is lower
 
 
+@pytest.mark.parametrize(
+    ("turned", "rises", "looks"),
+    [({"roll_deg": 3.0}, "left", None), ({"roll_deg": -3.0}, "right", None), ({"yaw_deg": 3.0}, None, "left")],
+)
+def test_camera_turns_about_line_of_sight_and_to_the_left(turned: dict[str, float], rises: str, looks: str) -> None:
+    camera = replace(PROFILE.camera, pitch_down_deg=30.0, **turned)
+    right, _, ahead = camera.T_body_camera[:3, :3].T
+    assert right[2] == pytest.approx({"left": -1, "right": 1, None: 0}[rises] * np.cos(np.radians(30)) * np.sin(np.radians(3)))
+    assert ahead[1] == pytest.approx({"left": 1, None: 0}[looks] * np.cos(np.radians(30)) * np.sin(np.radians(3)))
+    np.testing.assert_allclose(ahead[2], -np.sin(np.radians(30)))  # the pitch stays
+
+
 def test_mass_and_damping_follow_from_parts() -> None:
     assert 2.2 <= PROFILE.body.total_mass <= 2.6
     servo = PROFILE.servo
