@@ -194,6 +194,8 @@ class Report:
     input_ages_s: dict[str, InputAges] = field(default_factory=dict)
     missed_beats: dict[str, int] = field(default_factory=dict)  # [1] missed cycles of each service with its own clock
     params: dict[str, Any] = field(default_factory=dict)  # all parameters of the services; empty if they were started elsewhere
+    # Deviations of the real robot from its profile, see `[mismatch]` of the scenario; empty if it has none
+    deviation: dict[str, Any] = field(default_factory=dict)
     plugins: dict[str, str] = field(default_factory=dict)  # planner, foothold and registration in place of Sextant's own
 
 

@@ -31,9 +31,9 @@ kind = "plane"
 ```
 
 The [scenarios of the program](../shared/scenario/scenarios/mixed.toml) are files of this kind. Their names stand for them:
-`sextant run mixed`. Unknown keys, wrong types and values outside their range are errors. Faults, movers and camera options
-may be in a separate file, a trouble, which is laid over any course by a plus sign: `sextant run steps+legs`. The program has
-`sun`, `legs` and `sparse`.
+`sextant run mixed`. Unknown keys, wrong types and values outside their range are errors. Faults, movers, camera options and a
+mismatch may be in a separate file, a trouble, which is laid over any course by a plus sign: `sextant run steps+legs`. The
+program has `sun`, `legs` and `sparse`, and robots that differ from their profile: `mild`, `usual` and `harsh`.
 """
 _PICTURE = "Each picture shows the example below it with seed 1000; the robot stands at the origin."
 _PARTS = {
@@ -43,9 +43,9 @@ _PARTS = {
     ),
     "scenarios_course": Part("Terrain: courses of stretches", _PICTURE, ("course",)),
     "scenarios_faults": Part(
-        "Faults, movers and link of a scenario",
+        "Faults, movers, link and mismatch of a scenario",
         "[Scenario format](scenarios.md) describes the file and its other tables.",
-        ("[[faults]]", "[[bus_faults]]", "[[movers]]", "[link]"),
+        ("[[faults]]", "[[bus_faults]]", "[[movers]]", "[link]", "[mismatch]"),
     ),
 }
 _PROFILE = """# Profile format

@@ -23,6 +23,7 @@ from sextant.evaluation.trace.trace import Trace, trace_of
 from sextant.shared.geometry import Array, inverse, rotation_z, transform, yaw_of
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.runtime.service import Inbox, Stages
+from sextant.shared.scenario.mismatch import Mismatch
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import GroundTruth, Message, TerrainMap
@@ -284,6 +285,7 @@ class Scorer:
             collisions=collisions,
             real_time_factor=real_time_factor,
             stages_ms=dict(stages_ms or {}),
+            deviation={} if scenario.mismatch == Mismatch() else scenario.deviation(self._seed).as_table(),
         )
         if len(self._heard.truth) < 2:
             return report

@@ -6,6 +6,7 @@ The hardware is a depth camera, an IMU and a servo bus. Only the scorer uses the
 import logging
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -14,17 +15,19 @@ from sextant.services.simulator.config import Settings
 from sextant.services.simulator.physics.model import TIME_STEP_NS, Factors
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.services.simulator.physics.world import World
+from sextant.services.simulator.real_robot import real_profile
 from sextant.services.simulator.sensors.imu import Imu as ImuSensor
 from sextant.services.simulator.sensors.imu import ImuNoise
 from sextant.services.simulator.sensors.robot_camera import RobotCamera
+from sextant.services.simulator.sensors.stamp_errors import StampErrors
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
-from sextant.services.simulator.servo_bus.servo_bank import ServoBank, make_servo_bank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank, ServoVariation, make_servo_bank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.services.simulator.viewer import Viewer
 from sextant.shared.files.config import ConfigError
-from sextant.shared.geometry import Array
+from sextant.shared.geometry import Array, rotation_from_rpy
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.clock import in_use
@@ -77,9 +80,16 @@ class Simulator:
         self._scenario = scenario
         seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(7)]
         terrain = build_terrain(scenario, seeds[0])
-        self.world = World(profile, terrain, Factors.draw(scenario.variation, seeds[1]), imu=scenario.variation.imu)
+        self._deviation = deviation = scenario.deviation(settings.seed)
+        real = real_profile(profile, deviation)
+        factors = replace(
+            Factors.draw(scenario.variation, seeds[1]),
+            foot_friction=deviation.foot_friction,
+            link_lengths=deviation.link_lengths,
+        )
+        self.world = World(real, terrain, factors, imu=scenario.variation.imu, patches=deviation.patches)
         self._camera = RobotCamera(
-            profile,
+            real,
             scenario,
             self.world,
             settings.seed,
@@ -87,9 +97,11 @@ class Simulator:
             self.stages,
             settings.frames_per_picture,
         )
-        self._imu = ImuSensor(ImuNoise(), seeds[3])
+        self._stamps = StampErrors(deviation, np.random.default_rng([settings.seed, 7]))
+        self._imu = ImuSensor(ImuNoise().times(deviation.imu_bias), seeds[3])
+        self._R_imu_body = rotation_from_rpy(np.radians(deviation.imu_rpy_deg)).T
         self._signs = profile.servo_signs
-        self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
+        self._horns = profile.servo_angles(np.radians(deviation.horns_deg))  # servo angles at joint angle zero
         self._bank = self._switch_on(profile, scenario, seeds[5])
         self._bank.set_joint_state(*self._joints())
         self.bus = self._wired(scenario)
@@ -106,9 +118,18 @@ class Simulator:
         """Place the robot at its start, and return its servos, which hold the pose."""
         q, start = body_inverse(profile, profile.rest_feet(scenario.walk.body_height)), scenario.start
         x, y, yaw_deg = rng.uniform(-1.0, 1.0, 3) * (*start.xy_spread, start.yaw_spread_deg) + (*start.xy, start.yaw_deg)
-        self.world.stand(q, (x, y), np.radians(yaw_deg))
+        real = self._deviation
+        self.world.stand(q - np.radians(real.horns_deg), (x, y), np.radians(yaw_deg))
         servo = profile.servo_angles(q).ravel()
-        bank = make_servo_bank(profile.servo.model, list(profile.servo_names), servo, scenario.battery_ah)
+        variation = ServoVariation(real.stiffness.ravel(), real.torque.ravel(), np.radians(real.backlash_deg).ravel())
+        bank = make_servo_bank(
+            profile.servo.model,
+            list(profile.servo_names),
+            servo,
+            scenario.battery_ah,
+            real.battery_resistance,
+            variation,
+        )
         for row, angle in enumerate(servo):
             bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # configured for 1 Mbit/s
             bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))
@@ -232,10 +253,12 @@ class Simulator:
         if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz) and camera.begin_frame():
             depth = camera.depth()
             if depth is not None:
-                yield DepthImage(now_ns, depth)
+                stamp_ns = self._stamps.stamp(now_ns)
+                self._stamps.hold(DepthImage(stamp_ns, depth))
                 # Colour is rendered at the time of a depth frame, so that their pixels correspond.
                 if camera.has_color and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
-                    yield ColorImage(now_ns, camera.color())
+                    self._stamps.hold(ColorImage(stamp_ns, camera.color()))
+        yield from self._stamps.release(now_ns)
         if self._due(topics.CAMERA_STATE, now_ns):
             absent = "unplugged by the scenario" if camera.fault == "absent" else ""
             yield CameraState(now_ns, device="simulated depth camera", ok=not absent, reason=absent)
@@ -260,7 +283,8 @@ class Simulator:
         return True
 
     def _feel(self, now_ns: int) -> Imu:
-        gyro, force = self._imu.update(*self.world.imu, 1.0 / topics.IMU.rate_hz)
+        rate, acceleration = (self._R_imu_body @ vector for vector in self.world.imu)
+        gyro, force = self._imu.update(rate, acceleration, 1.0 / topics.IMU.rate_hz)
         return Imu(now_ns, gyro=gyro, specific_force=force)
 
     def _truth(self, now_ns: int) -> GroundTruth:

@@ -18,6 +18,7 @@ import numpy as np
 
 from sextant.shared.files import config
 from sextant.shared.plugins.loading import Plugins
+from sextant.shared.scenario.mismatch import Deviation, Mismatch
 from sextant.shared.scenario.mover import Mover
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.spelling import hint
@@ -27,6 +28,7 @@ from sextant.shared.wire.messages import GaitName
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
 MAX_BLOCKS = 500  # randomly placed blocks of one primitive; each is tested against all others, which takes time
 _FAULT_STREAM = 0x5CE  # random stream of the run's seed for the times of faults
+_MISMATCH_STREAM = 0x5CF  # random stream of the run's seed for the deviations from the profile
 _MOST_WAYPOINTS = 32  # of a route, including its end
 
 
@@ -675,12 +677,13 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Set of faults that can be added to any course."""
+    """Set of faults and deviations that can be added to any course."""
 
     faults: tuple[Fault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()
     movers: tuple[Mover, ...] = ()
     camera: CameraOptions | None = None  # replaces the course's camera options
+    mismatch: Mismatch | None = None  # replaces the course's mismatch
     extra_time_s: float = 0.0  # [s] simulated, added to the course's time limit
 
     def __post_init__(self) -> None:
@@ -699,6 +702,7 @@ class Scenario:
     walk: Walk = field(default_factory=Walk)
     camera: CameraOptions = field(default_factory=CameraOptions)
     variation: Variation = field(default_factory=Variation)
+    mismatch: Mismatch = field(default_factory=Mismatch)
     pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # adds the recorded pose error of a visual SLAM system
     map: MapOptions = field(default_factory=MapOptions)
     battery_ah: float = 4.0  # [A h] capacity of the simulated battery; the default lasts for more than half an hour of walking
@@ -737,6 +741,10 @@ class Scenario:
             for fault, share in zip(self.faults, spread, strict=True)
         )
 
+    def deviation(self, seed: int) -> Deviation:
+        """Return the deviations from the profile of the run with a seed."""
+        return self.mismatch.draw(np.random.default_rng([seed, _MISMATCH_STREAM]))
+
     def with_trouble(self, trouble: Trouble, name: str) -> "Scenario":
         """Return this course under another name, with the faults of a trouble added."""
         return replace(
@@ -746,6 +754,7 @@ class Scenario:
             bus_faults=(*self.bus_faults, *trouble.bus_faults),
             movers=(*self.movers, *trouble.movers),
             camera=trouble.camera or self.camera,
+            mismatch=trouble.mismatch or self.mismatch,
             time_limit_s=self.time_limit_s + trouble.extra_time_s,
         )
 

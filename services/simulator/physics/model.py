@@ -3,7 +3,7 @@
 A servo is a position actuator without velocity gain. The joint damping is the motor's: stall torque divided by no-load speed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -30,11 +30,13 @@ _TOUCH_RADIUS = 0.013  # [m] margin of the touch sensor around a foot; shank con
 
 @dataclass(frozen=True, slots=True)
 class Factors:
-    """Factors by which the physics of a run deviates from the profile."""
+    """Factors and lengths by which the physics of a run deviates from the profile."""
 
     armature: Array  # (6, 3) [1] on the profile's armature
     joint_friction: Array  # (6, 3) [1] on the profile's joint friction
     ground_friction: float  # [1] on the sliding friction of 0.8
+    foot_friction: Array = field(default_factory=lambda: np.ones(6))  # (6,) [1] on that of each foot
+    link_lengths: Array = field(default_factory=lambda: np.zeros((6, 3)))  # (6, 3) [m] added to coxa, femur and tibia
 
     @classmethod
     def none(cls) -> "Factors":
@@ -172,10 +174,11 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
     # The inertia is that of a uniform box of the trunk's size, centred at the profile's centre of mass.
     body.explicitinertial, body.mass, body.ipos = True, profile.body.mass, profile.body.centre_of_mass
     body.inertia = profile.body.mass / 3.0 * (np.sum(half**2) - half**2)
-    links = (profile.links.coxa, profile.links.femur, profile.links.tibia)
+    lengths = factors.link_lengths + np.array([profile.links.coxa, profile.links.femur, profile.links.tibia])
     up = [0.0, -1.0, 0.0]  # a positive rotation about -y lifts a link that points along x
     for leg, (name, T) in enumerate(zip((part.name for part in profile.legs), profile.T_body_coxa, strict=True)):
         parent: Any = body
+        links = lengths[leg]
         position, quat = T[:3, 3], quaternion_from_rotation(T[:3, :3])
         for joint, (part, axis) in enumerate(zip(JOINTS, ([0.0, 0.0, 1.0], up, up), strict=True)):
             label, end = f"{part} {name}", links[joint]
@@ -203,9 +206,9 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
             parent, position, quat = link, np.array([end, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
         sphere = mujoco.mjtGeom.mjGEOM_SPHERE
         foot = {"pos": [links[2], 0.0, 0.0], "type": sphere}
-        parent.add_geom(
-            name=f"foot {name}", size=[profile.foot.radius, 0, 0], mass=0.0, priority=1, rgba=_TRUNK_RGBA, **foot, **solid
-        )
+        foot_friction = [friction[0] * factors.foot_friction[leg], *friction[1:]]
+        look = solid | {"friction": foot_friction, "rgba": _TRUNK_RGBA}
+        parent.add_geom(name=f"foot {name}", size=[profile.foot.radius, 0, 0], mass=0.0, priority=1, **foot, **look)
         parent.add_site(name=f"foot {name}", size=[profile.foot.radius + _TOUCH_RADIUS, 0, 0], group=5, **foot)
         whole = {"pos": [links[2] / 2, 0.0, 0.0], "size": [links[2] / 2 + profile.foot.radius + _TOUCH_RADIUS, 0, 0]}
         parent.add_site(name=f"shank {name}", type=sphere, group=5, **whole)

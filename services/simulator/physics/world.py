@@ -17,6 +17,7 @@ from sextant.shared.errors import SextantError
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, quaternion_from_rotation, rotation_z, transform
 from sextant.shared.robot.profile import JOINTS, RobotProfile
+from sextant.shared.scenario.mismatch import PATCH_EDGE_M
 
 _SINKING = 0.25  # [m/s] sinking speed of weak boxes
 
@@ -34,7 +35,14 @@ class World:
     torques are an exception: they are those that acted during the step.
     """
 
-    def __init__(self, profile: RobotProfile, terrain: Terrain, factors: Factors | None = None, imu: bool = False):
+    def __init__(
+        self,
+        profile: RobotProfile,
+        terrain: Terrain,
+        factors: Factors | None = None,
+        imu: bool = False,
+        patches: Array | None = None,
+    ):
         """Build the MuJoCo model.
 
         Args:
@@ -42,6 +50,7 @@ class World:
             terrain: The ground.
             factors: Deviation of the physics from the profile, `Factors.none()` by default.
             imu: Whether to simulate an IMU at the body's origin.
+            patches: (n, n) [1] factors of the ground's friction by patch along x and y; they repeat. By default 1 everywhere.
         """
         _disable_log()
         self.profile, self.terrain = profile, terrain
@@ -67,6 +76,8 @@ class World:
         self._warnings = d.warning.number  # of each kind, since the robot was placed
         self._steps = 0
         self._imu = slice(12, 18) if imu else None
+        self._patches = None if patches is None or bool((patches == 1.0).all()) else patches
+        self._foot_friction = np.array(m.geom_friction[self._foot_geoms, 0])  # (6,) [1] sliding, where the patch is 1
         self._pressed = d.sensordata[len(d.sensordata) - len(terrain.weak) :]  # (n,) [N] load on the weak boxes
         self._gives = np.zeros(len(terrain.weak), dtype=bool)
         self._sunk = np.zeros(len(terrain.weak))
@@ -141,6 +152,10 @@ class World:
         np.negative(stiffness, out=self._bias)
         self._highest[...] = torque_limit
         np.negative(torque_limit, out=self._lowest)
+        if self._patches is not None:
+            patch = np.floor(self._geom_position[self._foot_geoms, :2] / PATCH_EDGE_M).astype(int) % len(self._patches)
+            friction = self._foot_friction * self._patches[patch[:, 0], patch[:, 1]]
+            self.model.geom_friction[self._foot_geoms, 0] = friction  # a foot's friction replaces that of the ground
         # mj_step2 before mj_step1: positions, velocities and contacts are then those after the step, at the cost of mj_step.
         for _ in range(steps):
             mujoco.mj_step2(self.model, self.data)

@@ -1,6 +1,6 @@
 """IMU model: white noise, a random bias per run, and a random walk of the bias."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,10 @@ class ImuNoise:
     force_bias: float = 5e-2  # [m/s^2] standard deviation at the start
     gyro_walk: float = 2e-5  # [rad/s/sqrt(s)]
     force_walk: float = 5e-4  # [m/s^2/sqrt(s)]
+
+    def times(self, factor: float) -> "ImuNoise":
+        """Return this noise with other biases."""
+        return replace(self, gyro_bias=self.gyro_bias * factor, force_bias=self.force_bias * factor)
 
 
 class Imu:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sextant.services.simulator.physics.movers import Movers, together
 from sextant.services.simulator.physics.solids import Boxes, Capsules
 from sextant.services.simulator.physics.world import World
+from sextant.services.simulator.sensors.camera_errors import CameraErrors
 from sextant.services.simulator.sensors.color_camera import ColorCamera
 from sextant.services.simulator.sensors.depth_camera import DepthCamera
 from sextant.services.simulator.sensors.renderer import Renderer
@@ -33,8 +34,8 @@ class RobotCamera:
         """Begin without a frame.
 
         Args:
-            profile: The robot.
-            scenario: Noise, faults and movers.
+            profile: The real robot.
+            scenario: Noise, errors, faults and movers.
             world: The physics.
             seed: Random seed of the run.
             random: Random generators of depth noise, colour noise and movers.
@@ -52,6 +53,7 @@ class RobotCamera:
             dropouts=scenario.camera.dropouts,
             loss=scenario.camera.loss,
         )
+        self._errors = CameraErrors(profile.camera.intrinsics, scenario.deviation(seed))
         self._color_camera = ColorCamera(self._renderer, world.terrain, color_random) if profile.camera.color else None
         self._faults: Sequence[Fault] = [fault for fault in scenario.faults_at(seed) if fault.of_camera]
         self._movers = Movers(scenario.movers, world.terrain, movers_random)
@@ -105,7 +107,7 @@ class RobotCamera:
             self._renderer.settle(self._world.sunk)
             picture = self._renderer.inverse_depth(self._T_world_camera, self._solids())
         with self._stages("depth noise"):
-            self._last_depth = self._depth_camera.measure(picture)
+            self._last_depth = self._depth_camera.measure(self._errors.depth(picture))
         return self._last_depth
 
     def color(self) -> NDArray[np.uint8]:
@@ -117,7 +119,7 @@ class RobotCamera:
         if self._color_camera is None:
             raise ValueError("a camera with a colour sensor expected")
         with self._stages("color"):
-            return self._color_camera.picture(self._T_world_camera, self._solids())
+            return self._errors.color(self._color_camera.picture(self._T_world_camera, self._solids()))
 
     @property
     def _T_world_camera(self) -> Array:

@@ -66,6 +66,15 @@ class Supply:
     computer_current: float = 1.0  # [A]
 
 
+@dataclass(frozen=True, slots=True)
+class ServoVariation:
+    """Deviations of n servos from their data sheet."""
+
+    stiffness: Array  # (n,) [1] factors of the torque per position error
+    torque: Array  # (n,) [1] factors of the torque at a duty of 1
+    backlash: Array  # (n,) [rad] play of the gears, in which a motor exerts no torque
+
+
 AX_12A_MOTOR = Motor()
 # At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are scaled with the voltage, as for a DC motor.
 RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
@@ -155,7 +164,7 @@ def _update_heat(
 def _measure(
     units: tuple[float, ...],
     after: float,
-    stall_torque: float,
+    stall_torque: Array,
     q: Array,
     qd: Array,
     load: Array,
@@ -181,7 +190,7 @@ def _measure(
         if not np.isnan(after):
             angle = angle + after * qd[i]
             torque = stiffness[i] * (setpoint[i] - angle)
-            share = min(max(torque, -torque_limit[i]), torque_limit[i]) / stall_torque
+            share = min(max(torque, -torque_limit[i]), torque_limit[i]) / stall_torque[i]
         words[i, 0] = np.uint16(min(max(np.rint(centre + angle / tick), 0.0), last_tick))
         for k, value, unit in ((1, qd[i], speed_unit), (2, share, load_unit)):
             size = min(np.rint(abs(value) / unit), clockwise - 1.0)
@@ -239,6 +248,7 @@ class ServoBank:
         q: Array | None = None,
         charge: float = 1.0,
         temperature: float | None = None,
+        variation: ServoVariation | None = None,
     ) -> None:
         """Create servos with factory values and torque off.
 
@@ -251,6 +261,7 @@ class ServoBank:
             q: (n,) [rad] initial joint angles in servo coordinates, 0 by default.
             charge: Initial charge of the battery, 0 to 1.
             temperature: Initial temperature of the motors [deg C], ambient by default.
+            variation: Deviations from the data sheet, none by default.
 
         Raises:
             ValueError: An id is out of range or not unique, or the charge is outside 0 to 1.
@@ -262,6 +273,8 @@ class ServoBank:
             raise ValueError(f"a battery charge from 0 to 1 expected, found {charge}")
         self.model = model
         self.motor = motor
+        self._variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
+        self._stall_torque = motor.stall_torque * self._variation.torque  # (n,) [N m]
         self.protection = protection or Protection()
         p = self.protection
         stalls, most = (p.stall_duty - _EPS, p.stall_time - _EPS), (p.mean_duty + _EPS) * p.mean_time
@@ -423,7 +436,7 @@ class ServoBank:
         self._measured, self._at_ns = False, at_ns
         self._q[:] = q
         self._qd[:] = qd
-        np.divide(torque, self.motor.stall_torque, out=self._load)
+        np.divide(torque, self._stall_torque, out=self._load)
 
     def _apply_faults(self, dt: float) -> None:
         """Apply the active faults to heat, charge and load for one step."""
@@ -432,7 +445,7 @@ class ServoBank:
         self.charge = max(self.charge - faults.drain * dt, 0.0)
         if faults.jammed.any():  # the motor works against the jam, up to its torque limit
             pull = np.clip(self._out.stiffness * (self._goal - self._q), -self._limit, self._limit)
-            self._load[:] = np.where(faults.jammed, pull / self.motor.stall_torque, self._load)
+            self._load[:] = np.where(faults.jammed, pull / self._stall_torque, self._load)
 
     def _update_protection(self, dt: float) -> float:
         """Update heat and overload by one step, and shut down tripped servos.
@@ -487,7 +500,7 @@ class ServoBank:
         return ServoCommand(
             np.where(jammed, self._jammed_at, out.setpoint),
             np.where(jammed, stiffest, out.stiffness),
-            np.where(jammed, _JAM_RATIO * self.motor.stall_torque, out.torque_limit),
+            np.where(jammed, _JAM_RATIO * self._stall_torque, out.torque_limit),
         )
 
     def _convert_goals(self) -> None:
@@ -509,14 +522,15 @@ class ServoBank:
                 (dxl.CCW_COMPLIANCE_MARGIN, dxl.CCW_COMPLIANCE_SLOPE),
             ]
         ):
-            self._margin[i] = self._column(margin) * dxl.TICK_RAD
-            steps = np.exp2(np.floor(np.log2(np.maximum(self._column(slope), 2))))
-            self._stiffness[i] = self.motor.stall_torque / (steps * dxl.TICK_RAD)
+            self._margin[i] = self._column(margin) * dxl.TICK_RAD + self._variation.backlash / 2
+            slopes = np.maximum(self._column(slope), 2).astype(np.float64)  # NumPy takes logarithms of bytes in half precision
+            steps = np.exp2(np.floor(np.log2(slopes)))
+            self._stiffness[i] = self._stall_torque / (steps * dxl.TICK_RAD) * self._variation.stiffness
 
         wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
         limit = np.minimum(self._torque_limits, self._column(dxl.MAX_TORQUE)) / float(dxl.TORQUE_LIMIT.max)
         off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode | self._active_faults.unpowered
-        self._limit[:] = np.where(off, 0.0, self.motor.stall_torque * limit)
+        self._limit[:] = np.where(off, 0.0, self._stall_torque * limit)
         self._torque_off = self._limit == 0.0
         self._out.torque_limit[:] = self._limit
 
@@ -537,7 +551,7 @@ class ServoBank:
         words, faults, out = self._measured_words, self._active_faults, self._out
         before = words[:, 0].copy() if self._has_faults else None
         _measure(
-            _UNITS, math.nan if self._at_ns is None else after_ns * 1e-9, self.motor.stall_torque, self._q, self._qd,
+            _UNITS, math.nan if self._at_ns is None else after_ns * 1e-9, self._stall_torque, self._q, self._qd,
             self._load, out.setpoint, out.stiffness, out.torque_limit, self.temperature, self._goal, self._setpoint,
             self._torque_off, words, self._measured_temperature, self._moving,
         )  # fmt: skip
@@ -549,11 +563,19 @@ class ServoBank:
             self._measured_temperature[hot] = faults.reads_hot[hot]
 
 
-def make_servo_bank(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = Supply().capacity_ah) -> ServoBank:
+def make_servo_bank(
+    model: str,
+    servo_ids: Sequence[int],
+    q: Array,
+    battery_ah: float = Supply().capacity_ah,
+    battery_resistance: float = 1.0,
+    variation: ServoVariation | None = None,
+) -> ServoBank:
     """Create servos of a named model, with its motors and its supply.
 
-    The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a bench supply with constant voltage.
+    The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a bench supply with constant voltage, and
+    `battery_resistance` is a factor.
     """
     motor, supply = MOTOR_AND_SUPPLY[model]
-    supply = replace(supply, capacity_ah=battery_ah)
-    return ServoBank(servo_ids, dxl.MODEL_NAMED[model], motor, supply=supply, q=q)
+    supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
+    return ServoBank(servo_ids, dxl.MODEL_NAMED[model], motor, supply=supply, q=q, variation=variation)

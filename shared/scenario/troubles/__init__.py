@@ -1,1 +1,1 @@
-"""Bundled troubles, one TOML file each: faults that can be added to any course."""
+"""Bundled troubles, one TOML file each: faults and deviations that can be added to any course."""

@@ -183,7 +183,9 @@ def test_trouble_applies_to_any_course(name: str) -> None:
     assert (both.faults, both.bus_faults, both.movers) == (trouble.faults, trouble.bus_faults, trouble.movers)
     assert both.camera == (trouble.camera or course.camera)
     assert both.time_limit_s == course.time_limit_s + trouble.extra_time_s
-    assert both.faults or both.bus_faults or both.movers or both.camera != course.camera
+    assert both.mismatch == (trouble.mismatch or course.mismatch)
+    changed = both.camera != course.camera or both.mismatch != course.mismatch
+    assert both.faults or both.bus_faults or both.movers or changed
 
 
 def test_unknown_trouble_suggests_nearest_after_course_is_checked() -> None:

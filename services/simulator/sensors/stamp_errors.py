@@ -1,0 +1,38 @@
+"""Wrong time stamps of a camera's images."""
+
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+
+from sextant.shared.scenario.mismatch import Deviation
+from sextant.shared.wire.messages import ColorImage, DepthImage
+
+
+class StampErrors:
+    """Stamps the images of one camera, and holds an image back until its stamp has come.
+
+    A camera or its driver stamps an image when it arrives, some time after its exposure. With a negative offset, the stamp is
+    earlier than the exposure.
+    """
+
+    def __init__(self, deviation: Deviation, rng: np.random.Generator):
+        """Begin without an image."""
+        self._offset_s, self._jitter_s, self._rng = deviation.stamp_offset_s, deviation.stamp_jitter_s, rng
+        self._held: deque[DepthImage | ColorImage] = deque()
+        self._newest_ns = -1
+
+    def stamp(self, exposed_ns: int) -> int:
+        """Return the stamp [ns] of an image that is exposed now; stamps rise."""
+        late_s = self._offset_s + (self._rng.normal(0.0, self._jitter_s) if self._jitter_s else 0.0)
+        self._newest_ns = max(self._newest_ns + 1, exposed_ns + round(late_s * 1e9))
+        return self._newest_ns
+
+    def hold(self, image: DepthImage | ColorImage) -> None:
+        """Add an image, in the order of the stamps."""
+        self._held.append(image)
+
+    def release(self, now_ns: int) -> Iterator[DepthImage | ColorImage]:
+        """Yield the images whose stamp has come."""
+        while self._held and self._held[0].stamp_ns <= now_ns:
+            yield self._held.popleft()
