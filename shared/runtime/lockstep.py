@@ -228,6 +228,8 @@ class Lockstep:
             self._show()
 
     def _show(self) -> None:
+        if not self._sent:
+            return
         sent, self._sent = self._sent, []
         for topic, frame in sent:
             if self._hand_over is None:
@@ -266,10 +268,13 @@ class Lockstep:
         if not readers:
             return
         at_ns = self.now_ns + self._latency_ns[topic.key]
-        far = [] if self._radio is None else [reader for reader in readers if self._radio.crosses(sender, reader)]
+        if self._radio is None:
+            self._schedule(at_ns, -1, lambda: self._deliver(topic, frame, readers))
+            return
+        far = [reader for reader in readers if self._radio.crosses(sender, reader)]
         if len(far) < len(readers):
             self._schedule(at_ns, -1, lambda: self._deliver(topic, frame, [name for name in readers if name not in far]))
-        if self._radio is None or not far:
+        if not far:
             return
         there_ns = self._radio.arrival_ns(topic, sender, len(frame), at_ns)
         if there_ns is not None:

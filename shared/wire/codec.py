@@ -142,8 +142,8 @@ def as_received(message: M) -> M:
     for field in _layout(kind).fields:
         value = getattr(message, field.name)
         if field.dtype:
-            value = np.array(value, order="C")
-            value.flags.writeable = False
+            value = value.copy()
+            value.setflags(write=False)
         elif field.plain is not None:
             value = field.plain(value)
         object.__setattr__(made, field.name, value)

@@ -694,7 +694,7 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
     def check(value: Any, lengths: dict[str, int]) -> str:
         if not isinstance(value, np.ndarray):
             return f"an array of {dtype} expected, found {type(value).__name__}"
-        if value.dtype != dtype:
+        if value.dtype is not dtype and value.dtype != dtype:
             return f"an array of {dtype} expected, found {value.dtype}"
         if empty is not None and value.shape == empty:
             return ""
