@@ -233,15 +233,14 @@ class ServoBusEmulator(AnswersOnly):
 
         A valid write covers whole writable registers, has values in range, and goals within the angle limits.
         """
-        registers = _registers_in(address, len(data))
-        if registers is None or (not _FREE[0] <= address <= _FREE[1] - len(data) and self._value(row, dxl.LOCK)):
+        ranges = _ranges_in(address, len(data))
+        if ranges is None or (not _FREE[0] <= address <= _FREE[1] - len(data) and self._value(row, dxl.LOCK)):
             return ServoError.RANGE  # the lock ends only with the power
-        for register in registers:
-            start = register.address - address
-            value = data[start] if register.size == 1 else data[start] | data[start + 1] << 8
-            if not register.min <= value <= register.max:
+        for start, size, least, most in ranges:
+            value = data[start] if size == 1 else data[start] | data[start + 1] << 8
+            if not least <= value <= most:
                 return ServoError.RANGE
-            if register is dxl.GOAL_POSITION:
+            if address + start == dxl.GOAL_POSITION.address:
                 limits = self._table(row, dxl.CW_ANGLE_LIMIT.address, 4)  # clockwise, counterclockwise; both 0 is wheel mode
                 low, high = limits[0] | limits[1] << 8, limits[2] | limits[3] << 8
                 if not low <= value <= high and high:
@@ -315,7 +314,7 @@ class ServoBusEmulator(AnswersOnly):
         A servo responds if its status return level requires it.
         """
         needed = 0 if always else _ANSWER_READ if read else _ANSWER_ALL
-        answers: dict[int, list[tuple[int, bytes]]] = {}  # id -> delay and response of each servo with the id
+        answers: list[tuple[int, int, bytes]] = []  # id, delay [ns] and response of each servo
         for row in rows:
             head = self._table(row, _HEAD_START, _HEAD_SIZE)
             if head[-1] < needed:
@@ -324,26 +323,27 @@ class ServoBusEmulator(AnswersOnly):
             said = dxl.status(
                 servo_id, int(error) | self._bank.error(row), self._table(row, *read, at_ns=time_ns) if read else b""
             )
-            answers.setdefault(servo_id, []).append((delay, said))
+            answers.append((servo_id, delay, said))
         replies: list[Reply] = []
-        heard = ((servo_id, *one) for servo_id, said in answers.items() for one in self._heard(said))
-        for servo_id, delay, data in heard:
+        for servo_id, delay, data in answers if len(answers) == 1 else self._heard(answers):
             self._answered_ns = max(time_ns + delay, self._answered_ns) + self._timing.wire_ns(len(data))
             replies.append(Reply(self._answered_ns + self._timing.usb_transaction_ns, data, servo_id))
         self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
         return replies
 
-    def _heard(self, answers: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-        """Return delays [ns] and bytes on the wire of servos with the same id.
+    def _heard(self, answers: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Return ids, delays [ns] and bytes on the wire of answers.
 
-        Simultaneous responses collide.
+        Simultaneous responses of servos with the same id collide.
         """
-        heard: list[tuple[int, bytes]] = []
-        for delay, said in sorted(answers):
-            if heard and delay < heard[-1][0] + self._timing.wire_ns(len(heard[-1][1])):
-                heard[-1] = heard[-1][0], _collision(heard[-1][1], said)
+        heard: list[tuple[int, int, bytes]] = []
+        order = list(dict.fromkeys(servo_id for servo_id, _, _ in answers))
+        for servo_id, delay, said in sorted(answers, key=lambda answer: (order.index(answer[0]), *answer[1:])):
+            last_id, began_ns, data = heard[-1] if heard else (-1, 0, b"")
+            if servo_id == last_id and delay < began_ns + self._timing.wire_ns(len(data)):
+                heard[-1] = servo_id, began_ns, _collision(data, said)
             else:
-                heard.append((delay, said))
+                heard.append((servo_id, delay, said))
         return heard
 
 
@@ -365,8 +365,8 @@ def _nobody(data: bytes, now_ns: int) -> None:
 
 
 @lru_cache(maxsize=1024)
-def _registers_in(address: int, size: int) -> tuple[Register, ...] | None:
-    """Return the registers that a write of `size` bytes covers.
+def _ranges_in(address: int, size: int) -> tuple[tuple[int, int, int, int], ...] | None:
+    """Return start in the data, size, least and largest value of each register that a write of `size` bytes covers.
 
     The result is None if it covers a read-only register, or a register only partly. Unused addresses between registers accept
     any value.
@@ -380,7 +380,7 @@ def _registers_in(address: int, size: int) -> tuple[Register, ...] | None:
             whole = address <= register.address and register.address + register.size <= end
             if not whole or register.access is not Access.READ_WRITE:
                 return None
-            found.append(register)
+            found.append((register.address - address, register.size, register.min, register.max))
     return tuple(found)
 
 

@@ -23,6 +23,7 @@ _STREAM_BYTES = 100  # bytes per millisecond of an endless stream
 _STREAM_MS = 8  # [ms] length of a stream after a request; longer than a host waits for a response
 _MOST_NOISE = 20  # [bytes] maximum noise in front of a response
 _ON_JOINTS = ("servo", "supply")  # targets whose faults the servo bank applies
+_NO_ROWS: frozenset[int] = frozenset()
 
 
 @dataclass(slots=True)
@@ -169,9 +170,10 @@ class BusFaults(AnswersOnly):
         if self._overhear is not None:
             self._overhear(data, now_ns)
         active = [running for running in self._running if running.on(t_ns)]
-        self._bus.cut_off(frozenset(r.row for r in active if r.fault.target == "servo" and r.away(t_ns)))
         if not active:
+            self._bus.cut_off(_NO_ROWS)
             return self._bus.receive(data, now_ns)
+        self._bus.cut_off(frozenset(r.row for r in active if r.fault.target == "servo" and r.away(t_ns)))
         for running in _of("bus", active):
             if running.away(t_ns) or running.fault.kind == "gone":
                 return []

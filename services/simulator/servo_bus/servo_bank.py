@@ -353,6 +353,10 @@ class ServoBank:
         """
         end = address + len(data)
         start = row * dxl.TABLE_SIZE
+        self._goals_changed = True
+        if address >= _GOAL_START and end <= _GOAL_END:  # the usual case
+            self._bytes[start + address : start + end] = data
+            return
         enable = start + dxl.TORQUE_ENABLE.address
         was_on = self._bytes[enable]
         self._bytes[start + address : start + end] = data
@@ -361,8 +365,7 @@ class ServoBank:
             self._goals[row] = self._position_ticks(row)
         if address <= dxl.TORQUE_LIMIT.address < end:
             self._latched_errors[row] = 0
-        self._goals_changed = True
-        self._settings_changed |= not (address >= _GOAL_START and end <= _GOAL_END)
+        self._settings_changed = True
 
     def set_faults(self, faults: ServoFaults | None) -> None:
         """Set the active faults, None for no faults, and apply their immediate effects."""
