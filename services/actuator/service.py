@@ -328,8 +328,9 @@ class Actuator:
     def _check_health(self, now_ns: int, elapsed: float) -> None:
         """React to the state of the servos, the battery and the cycle timing."""
         torque = self._guard.mode is not Mode.OFF
-        vitals = self._joints.vitals
-        vitals = replace(vitals, behind=vitals.behind | self._motion.behind)
+        vitals, behind = self._joints.vitals, self._motion.behind
+        if any(behind.tolist()):
+            vitals = replace(vitals, behind=vitals.behind | behind)
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._walk(), self._verdict))
         for index in self._verdict.restore_torque:

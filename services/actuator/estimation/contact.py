@@ -35,7 +35,8 @@ class ContactEstimate:
 
         `dt` [s] is the time since the last update; an infinite one discards all earlier updates.
         """
-        force = np.array([self._ground_force(*leg) for leg in np.hstack([q, torque])[:, [1, 2, 4, 5]].tolist()])
+        legs = zip(q.tolist(), torque.tolist(), strict=True)
+        force = np.array([self._ground_force(*angles[1:], *torques[1:]) for angles, torques in legs])
         self._force += (1.0 - math.exp(-dt / self._params.smoothing_s)) * (force - self._force)
         self.legs = np.where(self.legs, self._force > self._params.lift_n, self._force > self._params.touch_n)
         return self.legs

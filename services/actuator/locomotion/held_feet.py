@@ -1,5 +1,7 @@
 """Detection of feet in the air that an obstacle holds. Pure."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +33,6 @@ class HeldFeet:
             felt: Measured contacts.
             dt: [s] since the last cycle.
         """
-        behind = np.linalg.norm(goals - felt.feet, axis=1) > _LAG_M
+        behind = [math.sqrt(x * x + y * y + z * z) > _LAG_M for x, y, z in (goals - felt.feet).tolist()]
         self._lag_s = np.where(flying & felt.known & behind, self._lag_s + dt, 0.0)
         return np.asarray(self._lag_s > _LAG_S - 1e-9)

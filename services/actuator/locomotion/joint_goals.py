@@ -32,7 +32,8 @@ class JointGoals:
 
     def adopt(self, legs: NDArray[np.bool_], goals: Array) -> None:
         """Take the goals (6, 3) [rad] of legs (6,) as their wanted angles."""
-        self.wanted[legs] = self._wanted_when_read[legs] = goals[legs]
+        self.wanted = np.where(legs[:, None], goals, self.wanted)
+        self._wanted_when_read[legs] = goals[legs]
 
     def begin_motion(self) -> None:
         """Forget the last targets: they belong to another motion, and yield no joint speed."""
@@ -47,7 +48,9 @@ class JointGoals:
 
         These are the last readings q (6, 3) [rad], plus the commanded motion since then, except for legs (6,) without torque.
         """
-        moved = np.where(without_torque[:, None], 0.0, self.wanted - self._wanted_when_read)
+        moved = self.wanted - self._wanted_when_read
+        if any(without_torque.tolist()):
+            moved[without_torque] = 0.0
         return np.asarray(q + moved)
 
     def follow(self, targets: Targets, goals: Array, holds: NDArray[np.bool_], dt: float) -> Array:
@@ -62,14 +65,22 @@ class JointGoals:
         profile, limits = self._profile, self.limits
         feet = nearest_reachable(profile, targets.feet)
         q = body_inverse(profile, feet)
-        reached = np.isfinite(q)
-        sag = sag_feed_forward(profile, np.where(reached, q, 0.0), feet, targets.share, targets.R_level_body)
         before = q if self._q_last is None else self._q_last
-        rates = np.where(reached & np.isfinite(before), (q - before) / dt, 0.0)
-        lag = np.where(limits.gentle, 0.0, lag_feed_forward(profile, rates, dt))  # must not run ahead of them
         self._q_last = q
-        stays = holds[:, None]
-        goal, self.warning = limits.safe(np.where(stays, goals, q + sag + lag), goals, dt)
-        rest = np.where(limits.gentle, goal - sag - lag, q)  # limited joints have not been commanded further yet
-        self.wanted = np.where(reached & ~stays, rest, self.wanted)
+        follows = np.isfinite(q)  # joints that follow their targets
+        if follows.all():
+            sag = sag_feed_forward(profile, q, feet, targets.share, targets.R_level_body)
+        else:
+            sag = sag_feed_forward(profile, np.where(follows, q, 0.0), feet, targets.share, targets.R_level_body)
+        rates = (q - before) / dt
+        rates[~np.isfinite(rates)] = 0.0
+        lag, limiting = lag_feed_forward(profile, rates, dt), limits.is_limiting
+        if limiting:
+            lag[limits.gentle] = 0.0  # must not run ahead of them
+        goal = q + sag + lag
+        if any(holds.tolist()):
+            goal[holds], follows[holds] = goals[holds], False
+        goal, self.warning = limits.safe(goal, goals, dt)
+        rest = np.where(limits.gentle, goal - sag - lag, q) if limiting else q  # not commanded further yet
+        self.wanted = np.where(follows, rest, self.wanted)
         return goal

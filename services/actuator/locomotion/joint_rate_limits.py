@@ -64,8 +64,11 @@ class JointRateLimits:
         Returns:
             (6, 3) [rad], and a warning or an empty string. A leg out of reach keeps its last goals.
         """
-        lost = np.asarray(~np.isfinite(q_goal).all(axis=1))
-        wanted = np.where(lost[:, None], q_last, q_goal) if lost.any() else q_goal
+        lost = [] if (finite := np.isfinite(q_goal)).all() else np.flatnonzero(~finite.all(axis=1)).tolist()
+        wanted = q_goal
+        if lost:
+            wanted = q_goal.copy()
+            wanted[lost] = q_last[lost]
         limits, fastest = self._profile.joint_limits, self._profile.servo.no_load_speed
         wanted = np.minimum(np.maximum(wanted, limits[..., 0]), limits[..., 1])
         gained = fastest / _FULL_SPEED_S * dt
@@ -83,5 +86,5 @@ class JointRateLimits:
             self.pace -= min(float(left.max(where=self.gentle, initial=0.0)) / _WAIT_BEYOND_RAD, 1.0)
             self.behind &= left > _RESUME_WITHIN_RAD
             self.gentle &= (left > 1e-9) | self.behind.any(axis=1, keepdims=True)
-        names = [LEGS[leg] for leg in np.flatnonzero(lost)] if lost.any() else []
-        return q, f"foot out of reach, leg held in place: {', '.join(names)}" if names else ""
+        names = ", ".join(LEGS[leg] for leg in lost)
+        return q, f"foot out of reach, leg held in place: {names}" if names else ""

@@ -192,7 +192,7 @@ class MotionController:
     def waiting_reason(self) -> str:
         """Why no plan may be walked yet, or an empty string."""
         walk = self.executor
-        if walk.searching.any() or walk.is_returning:
+        if walk.is_searching or walk.is_returning:
             return walk.trouble
         catches_up = walk.gentle or (walk.resting and self.goals.limits.is_limiting)
         return "the joints are catching up with their goals, slowly" if catches_up else ""

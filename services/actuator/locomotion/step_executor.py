@@ -162,6 +162,11 @@ class StepExecutor:
         return np.zeros(6, dtype=bool) if self._search is None else self._search.legs.copy()
 
     @property
+    def is_searching(self) -> bool:
+        """Whether any leg searches for ground."""
+        return self._search is not None and bool(self._search.legs.any())
+
+    @property
     def clearance(self) -> Array:
         """(6,) [m] clearance at lift-off; infinite while it can still be raised."""
         lifted = self._running is not None and self._running.flight is not None

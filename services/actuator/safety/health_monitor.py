@@ -105,7 +105,8 @@ class Health:
         overloaded = self._overloads(now, vitals.errors, silent, torque)
         share = vitals.load / self._profile.servo.stall_torque
         self._effort += (1.0 - math.exp(-dt / _LOAD_TIME_CONSTANT_S)) * (share * share - self._effort)
-        heat, empty = self._heat(dt, vitals.temperature), self._empty(now, dt, np.where(silent, np.nan, vitals.voltage))
+        voltage = np.where(silent, np.nan, vitals.voltage) if silent.any() else vitals.voltage
+        heat, empty = self._heat(dt, vitals.temperature), self._empty(now, dt, voltage)
         broken: tuple[str, ...] = (vitals.trouble, self._loss(vitals.loss), self._delay(dt))
         weak = ""
         if (silent | vitals.behind | vitals.torque_disabled | (vitals.strength < 1.0) | (vitals.errors > 0)).any():

@@ -215,7 +215,7 @@ def _malformed(plan: StepPlan) -> str:
     for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):
         if not is_rigid(T):
             return f"the plan's {name} is not a rigid transform"
-        if np.abs(T[:3, 3]).max() > FURTHEST:
+        if max(map(abs, T[:3, 3].tolist())) > FURTHEST:
             return f"the plan's {name} is more than {FURTHEST * 1e-3:.0f} km away, too far for millimetre precision"
     return ""
 

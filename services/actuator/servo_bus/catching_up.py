@@ -35,7 +35,7 @@ class CatchingUp:
     @property
     def speed_ticks(self) -> NDArray[np.int64]:
         """(18,) moving speed registers, 0 without a limit."""
-        if not self.behind.any():
+        if not any(self.behind.tolist()):
             return _UNLIMITED
         return np.where(self.behind, [dxl.moving_speed_from(speed) for speed in self._max_speed.tolist()], 0)
 

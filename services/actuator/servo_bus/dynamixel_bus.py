@@ -58,6 +58,7 @@ _NOISY_NS = 1_000_000_000  # [ns] after a lost request for which the bus counts 
 _MAX_PACKET_BYTES = 256  # [bytes] largest length that a packet header can announce
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _NS_PER_S = 1e9
+_ERRORS = tuple(map(ServoError, range(256)))  # by the byte of an answer
 
 
 class BusSetupError(ConnectionError):
@@ -154,6 +155,7 @@ class ServoBus:
         self.servo_ids = tuple(servo_ids)
         self.names = {i: (names or {}).get(i, "") for i in servo_ids}
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
+        self.missed: NDArray[np.int64] = np.zeros(n, dtype=np.int64)  # (n,) consecutive unanswered requests in the loop
         self.between: Callable[[], None] = _nothing  # called before each request outside the loop
         self._port = port
         self._clock = clock
@@ -170,7 +172,6 @@ class ServoBus:
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._asked_ns = [0] * n  # when it was last requested
         self._told_ns = 0  # when goals were last sent
-        self._missed = [0] * n  # consecutive unanswered requests
         self._backoff = [1] * n  # read every this many turns
         self._skips = [0] * n  # turns left to skip
 
@@ -208,11 +209,6 @@ class ServoBus:
     def garbled(self) -> int:
         """Number of invalid bytes and packets so far."""
         return self._line.dropped.total()
-
-    @property
-    def missed(self) -> NDArray[np.int64]:
-        """(n,) consecutive unanswered requests of each servo in the loop."""
-        return np.array(self._missed)
 
     def close(self) -> None:
         """Close the port, gone or not; the servos keep their torque and last goals."""
@@ -395,7 +391,7 @@ class ServoBus:
             found = self._look(i, end)
             if found is not None:
                 readings.append(found)
-            elif self._missed[i] <= _AT_ONCE:
+            elif self.missed[i] <= _AT_ONCE:
                 self._again.append(i)
             start = self._clock()
         self._again += ahead  # not read for lack of time
@@ -432,7 +428,7 @@ class ServoBus:
             if not heard:
                 self._loss.note(done, True)
             if found is not None:
-                self._missed[index], self._backoff[index] = 0, 1
+                self.missed[index], self._backoff[index] = 0, 1
                 self._read_ns[index] = start
                 # A longer time is no property of the bus: this process was suspended meanwhile.
                 took = min(done - start, self._line.reply_timeout_ns)
@@ -454,8 +450,8 @@ class ServoBus:
 
     def _leave_alone(self, index: int) -> None:
         """Skip turns of a servo that has not answered, more the longer it is silent."""
-        self._missed[index] += 1
-        if self._missed[index] > _MAX_UNANSWERED:
+        self.missed[index] += 1
+        if self.missed[index] > _MAX_UNANSWERED:
             self._backoff[index] = min(2 * self._backoff[index], _MAX_BACKOFF)
         self._skips[index] = self._backoff[index] - 1
 
@@ -471,7 +467,7 @@ class ServoBus:
             return None
         self._loss.note(now_ns, False)
         self.errors[index] = answer.code
-        return reading(index, answer.servo_id, stamp_ns, self._told_ns, registers, ServoError(answer.code))
+        return reading(index, answer.servo_id, stamp_ns, self._told_ns, registers, _ERRORS[answer.code])
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer with `size` parameters, or None.
@@ -488,9 +484,10 @@ class ServoBus:
         return None if self._refuses(answer) else answer
 
     def _refuses(self, answer: Packet) -> bool:
-        refused = bool(answer.code & REFUSAL) and not answer.parameters
-        self._line.lost[Lost.REFUSED] += refused
-        return refused
+        if answer.parameters or not answer.code & REFUSAL:
+            return False
+        self._line.lost[Lost.REFUSED] += 1
+        return True
 
 
 def _nothing() -> None:

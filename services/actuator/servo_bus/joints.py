@@ -154,7 +154,7 @@ class Joints:
     @property
     def unsure(self) -> NDArray[np.bool_]:
         """(6, 3) joints without torque, or not yet at their goal after their servos missed goals."""
-        if not self._catching_up.behind.any():
+        if not any(self._catching_up.behind.tolist()):
             return self.torque_disabled
         return np.asarray(self.torque_disabled | self._catching_up.behind.reshape(6, 3))
 
