@@ -1,13 +1,12 @@
 """Constructors of the parts of Foxglove messages."""
 
 from collections.abc import Sequence
+from functools import cache
 
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
-from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
@@ -16,6 +15,7 @@ from sextant.shared.geometry import Array, quaternion_of_rows
 Rgba = tuple[float, float, float, float]
 
 _ORIGIN = (0.0, 0.0, 0.0)
+_UPRIGHT = Quaternion(w=1.0)
 
 
 def time(stamp_ns: int) -> Timestamp:
@@ -33,7 +33,7 @@ def pose(T: Array) -> Pose:
 
 def place(p: Sequence[float] | Array) -> Pose:
     """Return the Pose of a point (3,), without rotation."""
-    return Pose(position=vector(p), orientation=Quaternion(w=1.0))
+    return Pose(position=vector(p), orientation=_UPRIGHT)
 
 
 def vector(v: Sequence[float] | Array) -> Vector3:
@@ -41,17 +41,15 @@ def vector(v: Sequence[float] | Array) -> Vector3:
     return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
 
+@cache
 def color(rgba: Rgba) -> Color:
-    """Return the Color of red, green, blue and opacity within 0..1."""
+    """Return the Color of red, green, blue and opacity within 0..1; it is shared, as messages copy their parts."""
     return Color(r=rgba[0], g=rgba[1], b=rgba[2], a=rgba[3])
-
-
-def ball(p: Array, diameter: float, rgba: Rgba) -> SpherePrimitive:
-    """Return a sphere with a diameter [m] at a point (3,)."""
-    return SpherePrimitive(pose=place(p), size=vector((diameter, diameter, diameter)), color=color(rgba))
 
 
 def lines(kind: LinePrimitive.Type.ValueType, corners: Array, rgba: Rgba, width: float) -> LinePrimitive:
     """Return lines with a width [m] through points (n, 3)."""
-    ends = [Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()]
-    return LinePrimitive(type=kind, pose=place(_ORIGIN), thickness=width, points=ends, color=color(rgba))
+    drawn = LinePrimitive(type=kind, pose=place(_ORIGIN), thickness=width, color=color(rgba))
+    for x, y, z in corners.tolist():
+        drawn.points.add(x=x, y=y, z=z)
+    return drawn

@@ -2,9 +2,7 @@
 
 import numpy as np
 from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
@@ -28,8 +26,18 @@ _FOOTHOLD_SIZE = 0.025  # [m]
 
 def frames(state: ActuatorState, T_world_odom: Array, T_body_camera: Array) -> FrameTransforms:
     """Return the transforms world -> odom -> body -> camera."""
+    stamp, found = parts.time(state.stamp_ns), FrameTransforms()
     tree = (("world", "odom", T_world_odom), ("odom", "body", state.T_odom_body), ("body", "camera", T_body_camera))
-    return FrameTransforms(transforms=[_frame(state.stamp_ns, *branch) for branch in tree])
+    for parent, child, T_parent_child in tree:
+        where = parts.pose(T_parent_child)
+        found.transforms.add(
+            timestamp=stamp,
+            parent_frame_id=parent,
+            child_frame_id=child,
+            translation=where.position,
+            rotation=where.orientation,
+        )
+    return found
 
 
 def body(state: ActuatorState, T_world_body: Array) -> Odometry:
@@ -46,9 +54,10 @@ def body(state: ActuatorState, T_world_body: Array) -> Odometry:
 
 def joints(state: ActuatorState) -> JointStates:
     """Return measured joint angles [rad] and torques [N m]."""
-    measured = zip(JOINT_NAMES, state.q.ravel().tolist(), state.load_nm.ravel().tolist(), strict=True)
-    found = [JointState(name=name, position=q, effort=torque) for name, q, torque in measured]
-    return JointStates(timestamp=parts.time(state.stamp_ns), joints=found)
+    found = JointStates(timestamp=parts.time(state.stamp_ns))
+    for name, q, torque in zip(JOINT_NAMES, state.q.ravel().tolist(), state.load_nm.ravel().tolist(), strict=True):
+        found.joints.add(name=name, position=q, effort=torque)
+    return found
 
 
 def drawn(state: ActuatorState, profile: RobotProfile) -> SceneUpdate:
@@ -101,16 +110,7 @@ def _entity(
 
     It has spheres at points (n, 3) of a frame.
     """
-    balls = [parts.ball(p, size, rgba) for p, rgba in zip(points, colors or [], strict=True)]
-    return SceneEntity(timestamp=parts.time(stamp_ns), frame_id=frame, id=name, spheres=balls)
-
-
-def _frame(stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> FrameTransform:
-    where = parts.pose(T_parent_child)
-    return FrameTransform(
-        timestamp=parts.time(stamp_ns),
-        parent_frame_id=parent,
-        child_frame_id=child,
-        translation=where.position,
-        rotation=where.orientation,
-    )
+    entity, extent = SceneEntity(timestamp=parts.time(stamp_ns), frame_id=frame, id=name), parts.vector((size, size, size))
+    for p, rgba in zip(points.tolist(), colors or [], strict=True):
+        entity.spheres.add(pose=parts.place(p), size=extent, color=parts.color(rgba))
+    return entity
