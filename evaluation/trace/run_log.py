@@ -144,12 +144,13 @@ def _sharing(message: Kept, before: Sequence[Kept], unused: frozenset[str]) -> K
     """Return a message that shares equal arrays with the last one, and unused arrays in any case; this saves memory."""
     if not before:
         return message
-    last = {
-        name: (getattr(message, name), getattr(before[-1], name))
-        for name, base, _ in schema(type(message))
-        if base is np.ndarray
-    }
-    return replace(message, **{name: old for name, (new, old) in last.items() if name in unused or np.array_equal(new, old)})
+    kept = object.__new__(type(message))  # without the checks of its constructor: it has the same values
+    for name, base, _ in schema(type(message)):
+        value, old = getattr(message, name), getattr(before[-1], name)
+        if base is np.ndarray and (name in unused or value.tobytes() == old.tobytes()):
+            value = old
+        object.__setattr__(kept, name, value)
+    return kept
 
 
 def _goes_on(path: Array, known: Array) -> bool:
