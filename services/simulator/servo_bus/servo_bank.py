@@ -202,7 +202,8 @@ def _measure(
 @compiled
 def _update_controllers(
     goal: Array,
-    reach: Array,
+    speed: Array,
+    dt: float,
     torque_off: NDArray[np.bool_],
     q: Array,
     margin: Array,
@@ -213,15 +214,15 @@ def _update_controllers(
 ) -> None:
     """Compute setpoint and stiffness of n servos.
 
-    The ramp moves toward the goal by at most `reach` [rad], in place.
+    The ramp moves toward the goal with a speed [rad/s] for a time [s], in place.
 
     margin and stiffness (2, n) are those for clockwise and counterclockwise torque. Outside the compliance margin the torque
     rises from zero at its edge. Inside the margin the setpoint is the joint angle. While torque is off, the ramp follows the
     joint, so that it starts there when torque is turned on.
     """
     for i in range(goal.size):
-        step = goal[i] - ramp[i]
-        ramp[i] = goal[i] if abs(step) <= reach[i] else ramp[i] + (reach[i] if step > 0.0 else -reach[i])
+        step, reach = goal[i] - ramp[i], speed[i] * dt
+        ramp[i] = goal[i] if abs(step) <= reach else ramp[i] + (reach if step > 0.0 else -reach)
         if torque_off[i]:
             ramp[i] = q[i]
         error = ramp[i] - q[i]
@@ -490,7 +491,7 @@ class ServoBank:
         """Advance the ramps to the goals by one step, and return the position controllers."""
         out = self._out
         _update_controllers(
-            self._goal, self._speed * dt, self._torque_off, self._q, self._margin, self._stiffness,
+            self._goal, self._speed, dt, self._torque_off, self._q, self._margin, self._stiffness,
             self._setpoint, out.setpoint, out.stiffness,
         )  # fmt: skip
         if self._has_faults and self._active_faults.jammed.any():
