@@ -117,10 +117,12 @@ class Recorder:
         if not self.takes(topic, at_ns):
             return
         self._newest_ns[topic.key] = at_ns
-        with self._writing():
+        try:
             self._add(self._channel(topic), frame, at_ns)
             for name, message in self._translator.translate(topic, frame, at_ns):
                 self._add(self._translated(name, message), message.SerializeToString(deterministic=True), at_ns)
+        except OSError as error:
+            raise self._ended(error) from error
         if at_ns >= self._flush_due_ns:
             self._flush_due_ns = at_ns + _FLUSH_NS
             self.flush()
@@ -179,9 +181,12 @@ class Recorder:
         try:
             yield
         except OSError as error:
-            self.abandon()
-            kept = f"its first {self.size / 1e6:.1f} MB are kept" if self.size else ""
-            raise whole_files.WriteError(self.path, error, kept) from error
+            raise self._ended(error) from error
+
+    def _ended(self, error: OSError) -> whole_files.WriteError:
+        """End the recording because of an error, and return what to raise."""
+        self.abandon()
+        return whole_files.WriteError(self.path, error, f"its first {self.size / 1e6:.1f} MB are kept" if self.size else "")
 
     def _add(self, channel: int, data: bytes, at_ns: int) -> None:
         count = self._counts[channel] = self._counts.get(channel, -1) + 1
