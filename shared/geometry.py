@@ -259,8 +259,9 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
 def inverse(T: Array) -> Array:
     """Return the inverse of rigid transforms (..., 4, 4), by transposing the rotation."""
     if T.ndim == 2:
-        Rt = T[:3, :3].T
-        return transform(Rt, -(Rt @ T[:3, 3]))
+        one, Rt = _IDENTITY.copy(), T[:3, :3].T
+        one[:3, :3], one[:3, 3] = Rt, -(Rt @ T[:3, 3])
+        return one
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return transform(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
