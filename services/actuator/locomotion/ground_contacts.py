@@ -55,8 +55,9 @@ class GroundContacts:
         A foot that is only assumed to stand yields no finding.
         """
         proven = felt.bears & ~self.proven & candidates
-        self.proven |= proven
-        self._find(proven & felt.known, felt.feet, carries=True)
+        if np.count_nonzero(proven):
+            self.proven |= proven
+            self._find(proven & felt.known, felt.feet, carries=True)
 
     def survey(self, dt: float, felt: FootContact) -> None:
         """Measure at rest the height of feet that have just met ground.
@@ -105,7 +106,7 @@ class GroundContacts:
 
     def settle(self, feet: Array, dt: float) -> None:
         """Move the commands (6, 3) [m] {cmd} of stopped feet to where they met ground, in place."""
-        if self.stopped.any():
+        if np.count_nonzero(self.stopped):
             feet[self.stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self.met - feet)[self.stopped]
 
     def turn(self, T_odom: Array, T_cmd: Array, feet_odom: Array) -> None:
@@ -114,5 +115,5 @@ class GroundContacts:
         self.met = apply(T_cmd, self.met)
 
     def _find(self, legs: NDArray[np.bool_], feet_odom: Array, carries: bool) -> None:
-        if legs.any():
+        if np.count_nonzero(legs):
             self._findings += [Finding(leg, feet_odom[leg].copy(), carries) for leg in np.flatnonzero(legs).tolist()]

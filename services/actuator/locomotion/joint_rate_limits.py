@@ -46,7 +46,7 @@ class JointRateLimits:
     @property
     def is_limiting(self) -> bool:
         """Whether any joint is limited: a step could not lift its foot as planned."""
-        return bool(self.gentle.any())
+        return bool(np.count_nonzero(self.gentle))
 
     def forget(self) -> None:
         """End all limits, because torque is off or all joints stay where they are."""

@@ -32,7 +32,7 @@ class LegRecovery:
         Returns:
             (6,) hanging legs that can be controlled again. A leg that was silent while it stood keeps its foothold.
         """
-        if self._idle and not unsure.any():
+        if self._idle and not np.count_nonzero(unsure):
             return self._lost  # none
         self._lost = torque_disabled.any(axis=1) | (unsure.any(axis=1) & (flying | self.unrecovered))
         back = self.unrecovered & ~self._lost

@@ -167,7 +167,8 @@ class MotionController:
 
         They have joints (6, 3) that are unsure, or they have not been recovered yet.
         """
-        return np.asarray(unsure.any(axis=1) | self._recovery.unrecovered)
+        unrecovered = self._recovery.unrecovered
+        return unsure.any(axis=1) | unrecovered if np.count_nonzero(unsure) else unrecovered.copy()
 
     def standing(self, unsure: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(6,) legs that stand.
@@ -178,7 +179,7 @@ class MotionController:
         walk = self.executor
         standing = (~walk.swing | (walk.load_share > _STANDING_LOAD_SHARE)) & ~walk.searching
         firm = standing & ~self.unsure_legs(unsure)
-        return np.asarray(firm if firm.sum() >= 3 else standing)
+        return np.asarray(firm if np.count_nonzero(firm) >= 3 else standing)
 
     @property
     def behind(self) -> NDArray[np.bool_]:

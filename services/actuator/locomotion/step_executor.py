@@ -360,7 +360,8 @@ class StepExecutor:
         self._body.advance(running.elapsed_s, self._body.goal(plan.T_world_odom, plan.body_goal), plan.stop)
         if running.flight is None and running.elapsed_s > running.unload_s:
             unproven = ~plan.swing & ~self._contacts.proven
-            if felt is not None and unproven.any() and not running.gentle:  # gentle legs carry no load that others had to take
+            # Gentle legs carry no load that others had to take.
+            if felt is not None and np.count_nonzero(unproven) and not running.gentle:
                 if running.wait.is_over(unproven, felt, running.elapsed_s - before):
                     self._abort(unproven)
                 running.elapsed_s = before
@@ -397,7 +398,7 @@ class StepExecutor:
         if felt is not None and running.flight is not None and running.is_planned:
             goals = self.feet_odom if felt.goals is None else felt.goals
             held = self._held.update(legs & ~contacts.stopped, goals, felt, running.elapsed_s - before)
-            if held.any():
+            if np.count_nonzero(held):
                 self._reverse_step(held, felt.feet)
                 return
         targets = apply(inverse(running.plan.T_world_odom @ self._body.T_odom_cmd), running.plan.touchdown)  # {cmd}
@@ -406,25 +407,27 @@ class StepExecutor:
         since, until = running.swing_share(before), running.swing_share(running.elapsed_s)
         if felt is not None and since >= _STOP_FROM:
             self._stop_on_contact(running, targets, felt)
-        self._share[legs & ~contacts.stopped] = max(0.0, (running.elapsed_s - running.touchdown_s) / running.load_s)
-        stopped = legs & contacts.stopped
-        self._share[stopped] = np.minimum(self._share[stopped] + (running.elapsed_s - before) / running.load_s, 1.0)
+        stopped, free = legs & contacts.stopped, legs & ~contacts.stopped
+        self._share[free] = max(0.0, (running.elapsed_s - running.touchdown_s) / running.load_s)
+        if np.count_nonzero(stopped):
+            self._share[stopped] = np.minimum(self._share[stopped] + (running.elapsed_s - before) / running.load_s, 1.0)
         if since < 1.0:
             feet = self._feet.copy()
             feet[legs] = running.flight.update(targets[legs], since, until - since)
-            free = legs & ~contacts.stopped
             self._feet[free] = feet[free]
             contacts.ground[free] = targets[free, 2]
 
     def _stop_on_contact(self, running: RunningStep, targets: Array, felt: FootContact) -> None:
         """Stop swing feet that have met ground well before their targets (6, 3) [m] {cmd}."""
+        self._contacts.proven &= ~felt.lifts_body  # the body may have tilted for another reason
         met = running.plan.swing & ~self._contacts.stopped & (felt.touches | felt.lifts_body)
+        if not np.count_nonzero(met):
+            return
         measured = self._body.to_cmd(felt.feet)
         if running.returns:
             highest = np.maximum(self._feet[:, 2], measured[:, 2])  # the foot lags
             met &= highest - targets[:, 2] < _RETURN_CONTACT_M
         self._contacts.stop_early(met, targets, measured, felt.feet)
-        self._contacts.proven &= ~felt.lifts_body  # the body may have tilted for another reason
 
     def _land(self) -> None:
         self._share[:] = 1.0

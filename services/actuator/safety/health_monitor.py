@@ -105,11 +105,13 @@ class Health:
         overloaded = self._overloads(now, vitals.errors, silent, torque)
         share = vitals.load / self._profile.servo.stall_torque
         self._effort += (1.0 - math.exp(-dt / _LOAD_TIME_CONSTANT_S)) * (share * share - self._effort)
-        voltage = np.where(silent, np.nan, vitals.voltage) if silent.any() else vitals.voltage
+        some_silent = bool(np.count_nonzero(silent))
+        voltage = np.where(silent, np.nan, vitals.voltage) if some_silent else vitals.voltage
         heat, empty = self._heat(dt, vitals.temperature), self._empty(now, dt, voltage)
         broken: tuple[str, ...] = (vitals.trouble, self._loss(vitals.loss), self._delay(dt))
         weak = ""
-        if (silent | vitals.behind | vitals.torque_disabled | (vitals.strength < 1.0) | (vitals.errors > 0)).any():
+        odd = vitals.behind | vitals.torque_disabled | (vitals.strength < 1.0)
+        if some_silent or np.count_nonzero(odd) or np.count_nonzero(vitals.errors):
             torque_disabled, weak = self._check_torque(vitals.torque_disabled) if torque else "", self._weak(vitals.strength)
             unknown = (self._silence(vitals), self._loss(vitals.loss), self._behind(vitals.behind), self._delay(dt))
             broken = (*unknown, self._error(vitals.errors), torque_disabled, overloaded.broken, weak if torque else "")
@@ -178,7 +180,7 @@ class Health:
 
     def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:
         """Evaluate servo shutdowns; overload shutdowns are reset a few times."""
-        if not (self._shut_down or (errors & np.uint8(SHUT_DOWN)).any()):
+        if not (self._shut_down or np.count_nonzero(errors & np.uint8(SHUT_DOWN))):
             return Verdict()
         broken, sit, restore_torque = "", "", list[int]()
         for index, shutdown in enumerate(self._shutdowns):
@@ -253,7 +255,7 @@ class Health:
 
     def _fresh(self) -> float:
         """Return the share of the nominal speed that the recent load allows."""
-        worst = float(np.sqrt(self._effort.max()))
+        worst = math.sqrt(self._effort.max())
         return min(
             1.0,
             max(_MIN_PACE, 1.0 - (1.0 - _MIN_PACE) * (worst - _SLOWER_FROM_LOAD) / (_SLOWEST_FROM_LOAD - _SLOWER_FROM_LOAD)),

@@ -114,7 +114,8 @@ def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64
     array = np.asarray(values)
     if array.dtype.kind not in "iu" or array.shape not in ((), (count,)):
         raise ValueError(f"{register.name}: integers of shape ({count},) expected, found {array.dtype} of shape {array.shape}")
-    if array.min() < register.min or array.max() > register.max:
+    numbers = array.ravel().tolist()
+    if min(numbers) < register.min or max(numbers) > register.max:
         raise ValueError(f"{register.name} takes {register.min} to {register.max}, found {array.tolist()}")
     return array.astype(np.int64, copy=False)
 

@@ -186,7 +186,7 @@ class Joints:
         """
         self.goals = q_goal
         silent = self._bus.missed >= SILENT
-        if silent.any():
+        if np.count_nonzero(silent):
             self._catching_up.leave_behind(silent, LOWERED)
         ticks, speeds = _ticks(self._profile.servo_angles(q_goal).ravel()), self._catching_up.speed_ticks
         self._call_bus(lambda: self._bus.sync_write_goals(ticks, speeds))
