@@ -162,7 +162,7 @@ class Actuator:
         awaiting, touchdown = self._motion.executor.awaiting, self._estimator.touchdown
         touchdown.forget(~awaiting)
         touchdown.begin_cycle(self._measured(), self._joints.goals)
-        urgent = [3 * leg + FEMUR for leg in np.flatnonzero(awaiting).tolist()]
+        urgent = [3 * leg + FEMUR for leg, waits in enumerate(awaiting.tolist()) if waits]
         for reading in self._joints.read(urgent):
             leg, joint = divmod(reading.index, 3)
             self._motion.goals.mark_read(leg, joint)

@@ -76,7 +76,7 @@ class InputAges:
         Args:
             max_age_s: Topic key, BEAT or STALL -> age [s].
         """
-        self._limit_ns = {what: round(limit_s * 1e9) for what, limit_s in max_age_s.items()}
+        self.limit_ns = {what: round(limit_s * 1e9) for what, limit_s in max_age_s.items()}
         self._uses: dict[str, list[int]] = {}  # worst age [ns], worst at arrival [ns], uses, late uses
         self._left_ns: dict[str, float] = {}  # how much older each input used in the current step may get
 
@@ -88,7 +88,7 @@ class InputAges:
             age_ns: Age [ns] at the use.
             arrived_ns: Age [ns] on arrival; `age_ns` by default.
         """
-        limit_ns = self._limit_ns.get(what)
+        limit_ns = self.limit_ns.get(what)
         if limit_ns is None:
             return
         if what not in (BEAT, STALL):
@@ -119,7 +119,7 @@ class InputAges:
                 what,
                 min(max(age_ns, 0) * 1e-9, _OLDEST_S),
                 min(max(arrived_ns, 0) * 1e-9, _OLDEST_S),
-                self._limit_ns[what] * 1e-9,
+                self.limit_ns[what] * 1e-9,
                 late / uses,
             )
             for what, (age_ns, arrived_ns, uses, late) in self._uses.items()

@@ -201,7 +201,7 @@ class Inbox:
     def drain(self, topic: Topic[M]) -> list[M]:
         """Return all messages received since the last read, in order."""
         messages = self._decode_waiting(topic)
-        if not messages:
+        if not messages or topic.key not in self._ages.limit_ns:
             return messages
         _, at_ns = self._newest[topic.key]
         for message in messages:
@@ -215,7 +215,7 @@ class Inbox:
         """
         self._decode_waiting(topic)
         found = self._newest.get(topic.key)
-        if found is not None:
+        if found is not None and topic.key in self._ages.limit_ns:
             self._ages.note(topic.key, self.now_ns - found[0].stamp_ns, found[1] - found[0].stamp_ns)
         return found
 
