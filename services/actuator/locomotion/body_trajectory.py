@@ -32,6 +32,7 @@ class BodyTrajectory:
         """Set pose (6,) [m, rad] {cmd} and velocity (6,) [m/s, rad/s] of the body."""
         self.xyz_rpy, self._velocity = xyz_rpy, velocity
         self._T_cmd_body = pose(xyz_rpy)
+        self._T_body_cmd = inverse(self._T_cmd_body)
         self._T_odom_body = self.T_odom_cmd @ self._T_cmd_body
 
     def begin(self, now_s: float, end_s: float, velocity_scale: float = 1.0) -> None:
@@ -65,13 +66,13 @@ class BodyTrajectory:
 
     def to_body(self, points: Array) -> Array:
         """Return points (n, 3) [m] {cmd} in the commanded body frame."""
-        return apply(inverse(self._T_cmd_body), points)
+        return apply(self._T_body_cmd, points)
 
     def goal(self, T_world_odom: Array, T_world_body: Array) -> Array:
         """Return a body goal as coordinates (6,) {cmd}, with angles unwrapped."""
-        goal = xyz_rpy_from(inverse(T_world_odom @ self.T_odom_cmd) @ T_world_body)
-        goal[3:] = self._start[3:] + wrapped(goal[3:] - self._start[3:])
-        return goal
+        x, y, z, *angles = xyz_rpy_from(inverse(T_world_odom @ self.T_odom_cmd) @ T_world_body).tolist()
+        starts = self._start[3:].tolist()
+        return np.array([x, y, z, *(start + wrapped(angle - start) for angle, start in zip(angles, starts, strict=True))])
 
     def advance(self, elapsed_s: float, goal: Array, stop: bool) -> None:
         """Move along the path.
@@ -147,9 +148,9 @@ def pose(xyz_rpy: Array) -> Array:
     return from_xyz_rpy(xyz_rpy[:3], xyz_rpy[3:])
 
 
-def wrapped(angle: Array) -> Array:
-    """Return angles [rad] wrapped to half a turn around zero."""
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+def wrapped(angle: float) -> float:
+    """Return an angle [rad] wrapped to half a turn around zero."""
+    return (angle + math.pi) % math.tau - math.pi
 
 
 def hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: float) -> tuple[Array, Array]:
