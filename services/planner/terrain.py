@@ -2,20 +2,20 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.planner.compiled_terrain import Choice, Grid, Ground, footing_at, suitability_at
 from sextant.services.planner.params import FootholdParams
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, TerrainMap
 
 STEEPEST = float(np.tan(np.radians(12.0)))  # maximum slope of a plane through feet; feet on stones can suggest a steeper one
-NONE, POOR, GOOD = 0.0, 1.0, 2.0  # suitability of a place as a foothold
 Layer = Literal["score", "evaluation"]
 
-_AROUND = np.array([[(i, j)] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])  # (8, 1, 2)
+_LAST_FOOTHOLD = -1  # [cells] highest evaluation of a cell that carries a foot
 DEEP = -100  # [cells] evaluation function on unlimited level ground
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest plausible cells
@@ -41,6 +41,23 @@ class Terrain:
         if np.abs(self.map.origin).max() > _FAR:
             return f"an origin within {_FAR:g} m expected, found {self.map.origin.tolist()}"
         return ""
+
+    @cached_property
+    def ground(self) -> Ground:
+        """The map for compiled functions."""
+        score = self.layer == "score"
+        x, y = self.map.origin.tolist()
+        return Ground(
+            _read_only(self.map.elevation),
+            _read_only(self.map.score if score else np.where(self.map.evaluation == UNKNOWN, np.nan, self.map.evaluation)),
+            Grid(x, y, float(self.map.resolution)),
+            Choice(
+                by_score=score,
+                most=float(MAX_FOOTHOLD_SCORE if score else _LAST_FOOTHOLD),
+                room=float(self.params.room_m if score else self.map.resolution),
+                firm=float(round(-self.params.firm_m / self.map.resolution)),
+            ),
+        )
 
     @cached_property
     def _last(self) -> NDArray[np.int64]:
@@ -75,26 +92,14 @@ class Terrain:
         The fewer of them do, the poorer it is. With Masri's evaluation function (2016, section 5.2.1), a place is good where
         the function is strongly negative or has a local minimum. It is poor where the function is negative otherwise.
         """
-        if self.layer == "score":
-            near = self.centres(xy) + self.params.room_m * _AROUND
-            scores, around = self.scores(xy), self.scores(near)
-            carries = POOR + (GOOD - POOR) * (around <= MAX_FOOTHOLD_SCORE).mean(axis=0)  # NaN, unseen, carries none
-            return np.where(np.isnan(scores), np.nan, np.where(scores <= MAX_FOOTHOLD_SCORE, carries, NONE))
-        here = self._evaluations(xy)
-        around = self._evaluations(self.centres(xy) + self.map.resolution * _AROUND).min(axis=0)
-        good = here <= np.maximum(around, round(-self.params.firm_m / self.map.resolution))
-        return np.where(here == UNKNOWN, np.nan, np.where(here >= 0, NONE, np.where(good, GOOD, POOR)))
+        _, value, grid, choice = self.ground
+        return np.array([suitability_at(value, grid, choice, x, y) for x, y in xy.tolist()])
 
     def footholds(self) -> NDArray[np.bool_]:
         """Return which cells (nx, ny) of the map carry a foot."""
         if self.layer == "score":
             return np.asarray(self.map.score <= MAX_FOOTHOLD_SCORE)
         return np.asarray(self.map.evaluation < 0)
-
-    def _evaluations(self, xy: Array) -> NDArray[np.int64]:
-        """Return Masri's function (...) [cells] at (..., 2) [m] {world}; UNKNOWN outside."""
-        ij, inside = self.cells(xy)
-        return np.where(inside, self.map.evaluation[ij[..., 0], ij[..., 1]].astype(np.int64), UNKNOWN)
 
     def hazards(self, xy: Array) -> NDArray[np.uint8]:
         """Return the hazard (n,) at points (n, 2) [m] {world}, as an index into `HAZARDS`.
@@ -116,10 +121,8 @@ class Terrain:
 
         It is the mean of the known cells of the 3x3 cells around the place.
         """
-        around = self.map.resolution * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
-        patch = self.heights((xy[:, None, :] + around).reshape(-1, 2)).reshape(-1, 9)
-        known = np.isfinite(patch)
-        return np.where(known[:, 4], np.where(known, patch, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
+        elevation, _, grid, _ = self.ground
+        return np.array([footing_at(elevation, grid, x, y) for x, y in xy.tolist()])
 
     def highest_along(self, start: Array, end: Array, half_width: float = 0.02) -> Array:
         """Return the highest known ground (n,) [m] under lines, see `ground_along`."""
@@ -161,6 +164,13 @@ class Terrain:
         u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
         heights = self.heights(origin + u.reshape(-1, 1) * (along - origin) + v.reshape(-1, 1) * (aside - origin))
         return float(np.where(np.isfinite(heights), heights, -np.inf).max())
+
+
+def _read_only(layer: NDArray[Any]) -> NDArray[np.float32]:
+    """Return a layer as compiled functions take it: as in a received message, whose arrays are read-only."""
+    same = np.ascontiguousarray(layer, dtype=np.float32).view()
+    same.flags.writeable = False
+    return same
 
 
 def plane_of(stamp_ns: int, ground: Array) -> Terrain:

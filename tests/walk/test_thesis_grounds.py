@@ -22,8 +22,9 @@ from sextant.services.mapper.footholds.params import ScoreParams
 from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
-from sextant.services.planner.locomotion.foothold_search import Foothold, nearest_foothold, offsets_by_distance
-from sextant.services.planner.terrain import GOOD, Layer, Terrain
+from sextant.services.planner.compiled_terrain import GOOD
+from sextant.services.planner.locomotion.foothold_search import Foothold, offsets_by_distance
+from sextant.services.planner.terrain import Layer, Terrain
 from sextant.services.simulator.physics import terrain as ground
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import Array
@@ -34,6 +35,7 @@ from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, TerrainMap
 from tests.support import thesis_grounds as things
+from tests.support.long_leg import search
 from tests.support.walks import blocked
 
 SEARCH = 0.06  # [m] search radius of the planner
@@ -99,14 +101,7 @@ PICKS = {
 
 
 def chosen(terrain: Terrain, xy: tuple[float, float]) -> Foothold:
-    found = nearest_foothold(
-        terrain,
-        np.array(xy),
-        offsets_by_distance(SEARCH, R),
-        others=np.zeros((0, 2)),
-        min_distance=0.06,
-        reachable=lambda points: np.ones(len(points), dtype=bool),
-    )
+    found = search(terrain, np.array(xy), offsets_by_distance(SEARCH, R))
     assert isinstance(found, Foothold), found.reason
     return found
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from sextant.services.planner.compiled_terrain import GOOD
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.step_planner import PlannedStep, time_to_swing
 from sextant.services.planner.roadmap.roadmap import PassageStep
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.robot_estimate import WorldStance
-from sextant.services.planner.terrain import GOOD
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.profile import LEGS, RobotProfile
 

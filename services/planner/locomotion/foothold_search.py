@@ -5,17 +5,25 @@ their true distance (Lotriet 2024, section 6.3).
 """
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sextant.services.planner.terrain import GOOD, NONE, Terrain
+from sextant.services.planner.compiled_terrain import (
+    CROWDED,
+    NONE,
+    OUT_OF_REACH,
+    ROUGH,
+    UNSEEN,
+    FootholdRules,
+    best_foothold,
+    leg_numbers,
+)
+from sextant.services.planner.locomotion.params import StepParams
+from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import HAZARDS
-
-Reachable = Callable[[Array], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +43,46 @@ class NoFoothold:
     unseen: bool = False  # most of the candidate cells are unseen
 
 
+class FootholdFinder:
+    """Finds footholds that one robot can use, in reach and with room for foot and shank; it keeps only lookup tables."""
+
+    def __init__(self, profile: RobotProfile, params: StepParams):
+        """Initialize for a robot."""
+        self.widths = (1.0, params.wide_search_ratio)  # factors of the search radius
+        self._profile, self._legs = profile, leg_numbers(profile)
+        self._rules = FootholdRules(
+            foot_distance=profile.stance.foot_distance,
+            foot_radius=profile.foot.radius,
+            descent=params.descent_m,
+            leg_margin=params.leg_margin_m,
+            sink_margin=params.sink_margin_m,
+        )
+        self._offsets: dict[float, Array] = {}  # [m] offsets of the cells to try by `widths`, for the current map resolution
+        self._offsets_resolution = 0.0  # [m]
+
+    def find(
+        self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain, width: float = 1.0
+    ) -> Foothold | NoFoothold:
+        """Return the best foothold of one leg near its nominal place.
+
+        Args:
+            leg: The leg.
+            nominal: (2,) [m] {world} touchdown on unobstructed ground.
+            feet: (6, 3) [m] {world} centres of the other feet, NaN where not known yet.
+            T_end: (4, 4) {world} body pose at the end of the step.
+            T_after: (4, 4) {world} body pose when the foot will leave its foothold.
+            terrain: The map.
+            width: Factor of the robot's search radius, one of `widths`.
+        """
+        if terrain.map.resolution != self._offsets_resolution:
+            self._offsets_resolution = terrain.map.resolution
+            radius = self._profile.stance.search_radius
+            self._offsets = {w: offsets_by_distance(w * radius, terrain.map.resolution) for w in self.widths}
+        others = np.where(np.arange(6)[:, None] == leg, np.nan, feet)
+        frames = np.stack([T_end, (T_end + T_after) / 2.0, T_after]) @ self._profile.T_body_coxa[leg]
+        return nearest_foothold(terrain, nominal, self._offsets[width], self._legs[leg], self._rules, others, frames)
+
+
 def offsets_by_distance(radius: float, resolution: float) -> Array:
     """Return offsets (n, 2) [m] of all cells within a radius, the nearest first.
 
@@ -50,7 +98,7 @@ def offsets_by_distance(radius: float, resolution: float) -> Array:
 
 
 def nearest_foothold(
-    terrain: Terrain, nominal: Array, offsets: Array, others: Array, min_distance: float, reachable: Reachable
+    terrain: Terrain, nominal: Array, offsets: Array, leg: Array, rules: FootholdRules, others: Array, frames: Array
 ) -> Foothold | NoFoothold:
     """Find the most suitable foothold near a nominal one; of equals, the nearest.
 
@@ -60,56 +108,31 @@ def nearest_foothold(
         terrain: The map.
         nominal: (2,) [m] {world} where the foot would land on unobstructed ground.
         offsets: (n, 2) [m] of the cells to try, in order; the first is (0, 0).
-        others: (k, 2) [m] {world} feet to keep away from.
-        min_distance: [m] from them.
-        reachable: Returns (m,) for points (m, 3) [m] {world} on the ground whether the leg reaches them.
+        leg: The leg, a row of `leg_numbers`.
+        rules: Distances to keep.
+        others: (n, 3) [m] {world} centres of other feet, NaN where not known yet.
+        frames: (3, 4, 4) {world} coxa poses of the leg when the foot lands, half-way, and when it leaves.
 
     Returns:
         The foothold, or the number of cells that failed each test.
     """
-    # The nominal place is usually good, so it is tried alone first.
-    found = _search(terrain, nominal[None], others, min_distance, reachable)
-    if isinstance(found, Foothold):
-        return found
+    x, y = nominal.tolist()
+    place, moved, room, tests = best_foothold(terrain.ground, leg, rules, (x, y), others, frames, offsets)
+    if room > NONE:
+        return Foothold(np.array(place), moved, room)
     xy = terrain.centres(nominal) + offsets
-    return _search(terrain, xy, others, min_distance, reachable, nominal)
-
-
-def _search(
-    terrain: Terrain, xy: Array, others: Array, min_distance: float, reachable: Reachable, nominal: Array | None = None
-) -> Foothold | NoFoothold:
-    """Return the best of (n, 2) [m] {world} places, the nearest to the nominal one.
-
-    Without a nominal place, return the first of the best.
-    """
-    suitability = terrain.suitability(xy)
-    footing = terrain.footing(xy)
-    unknown = np.isnan(suitability) | ~np.isfinite(footing)
-    rough = ~unknown & (suitability == NONE)
-    near = ((xy[:, None] - others) ** 2).sum(axis=2).min(axis=1, initial=np.inf) < min_distance**2
-    candidates = np.flatnonzero(~unknown & ~rough & ~near)
-    points = np.column_stack([xy[candidates], footing[candidates]])
-    within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
-    best = GOOD if nominal is None or not within.any() else float(suitability[candidates][within].max())
-    within = within & (suitability[candidates] == best)
-    if within.any():
-        if nominal is None:
-            return Foothold(points[int(np.argmax(within))], 0.0, best)
-        # The cells are ordered around the centre of the nominal cell, so the distance from the nominal place is computed again.
-        moved = np.where(within, np.linalg.norm(points[:, :2] - nominal, axis=1), np.inf)
-        nearest = int(np.argmin(moved))
-        return Foothold(points[nearest], float(moved[nearest]), best)
-    hazards = np.where(rough, terrain.hazards(xy), 0)
+    hazards = terrain.hazards(xy[tests == ROUGH])
+    unseen = int((tests == UNSEEN).sum())
     counts = Counter(
         {
-            "not seen": int(unknown.sum()),
-            "too steep or too near an edge": int((rough & (hazards == 0)).sum()),
+            "not seen": unseen,
+            "too steep or too near an edge": int((hazards == 0).sum()),
             **{name: int((hazards == number).sum()) for number, name in enumerate(HAZARDS) if number},
-            "too near another foot": int((near & ~unknown & ~rough).sum()),
-            "out of reach or too tight for the leg": len(points),
+            "too near another foot": int((tests == CROWDED).sum()),
+            "out of reach or too tight for the leg": int((tests == OUT_OF_REACH).sum()),
         }
     )
     words = ", ".join(f"{n} {what}" for what, n in counts.most_common() if n)
-    radius = 0.0 if nominal is None else float(np.linalg.norm(xy[-1] - nominal))
+    radius = float(np.linalg.norm(xy[-1] - nominal))
     reason = f"no foothold within {radius * 100:.0f} cm of its nominal place ({len(xy)} cells: {words})"
-    return NoFoothold(reason, unseen=2 * int(unknown.sum()) > len(xy))
+    return NoFoothold(reason, unseen=2 * unseen > len(xy))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.planner.compiled_terrain import AROUND_FOOT, FEMUR, PUSHED, TIBIA
 from sextant.services.planner.locomotion.swing_clearance import ALONG, LEVEL, RISEN, SWING_TIME, lowest_path, path_at
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
@@ -17,20 +18,11 @@ from sextant.shared.robot.profile import LEGS, LegLinks, RobotProfile
 
 _LIFTS = 4  # number of lifts to try, up to the highest
 
-# Samples of a leg: shares of its femur, then of its tibia. Points nearer to the foot count as part of the foothold.
-_FEMUR = np.array([0.4, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-_TIBIA = np.array([0.0, 0.0, 0.0, 0.17, 0.34, 0.51, 0.68, 0.85])
-_BELOW = np.zeros((1, 2))  # [m]
-_AROUND = 0.01 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])  # [m] shank radius and map error at edges
 _WORSE = 0.01  # [m] by which a leg that is already too close may come closer
-_RISES = 0.01 * np.outer([1, 2, 3, 4, 5], [0, 0, 1])  # [m] rise of a foot that leaves the ground
-_PUSHED = 0.002  # [m] minimum sideways push that counts
 _FINELY = np.linspace(0.0, 1.0, 21)  # shares of a swing's time at which the push is checked
 # Latest progress of a foot along its path, and its latest rise: next to a high obstacle it rises first.
 _LATE_TIME, _LATE_ALONG = [0.0, 0.3, 0.44, 0.62, 0.82, 1.0], [0.0, 0.05, 0.23, 0.60, 0.92, 1.0]
 _LATE_RISE_TIME, _LATE_RISEN = [0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0], [0.0, 0.16, 0.44, 0.72, 0.95, 1.0, 0.5, 0.0]
-# [m] around a foot that is pushed aside: the foot's radius, and the uncertainty of an edge of about 1 cm.
-_AROUND_FOOT = np.concatenate([r * np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4]) for r in (0.01, 0.02)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,47 +83,15 @@ def find_clearances(
         return out
     worst = np.unravel_index(int(np.argmin(np.where(bad, gaps, np.inf))), bad.shape)
     _, leg, sample = (int(i) for i in worst)
-    link = "tibia" if _TIBIA[sample] else "femur"
+    link = "tibia" if TIBIA[sample] else "femur"
     x, y, _ = points[worst]
     return LegCollision(leg, f"{LEGS[leg]} leg: its {link} would touch the ground at ({x:.2f}, {y:.2f}) m")
-
-
-def stands_clear(
-    leg: int, feet: Array, T_world_body: Array, margin: float, profile: RobotProfile, terrain: Terrain
-) -> NDArray[np.bool_]:
-    """Return which (n,) foot centres keep one leg clear of the ground.
-
-    The ground next to the links counts as well as the ground below, because a shank has a thickness and an edge in the map has
-    an uncertainty. This must hold for all body poses (k, 4, 4). Foot centres are (n, 3) [m] {world}, the margin is in [m].
-    """
-    T = (T_world_body @ profile.T_body_coxa[leg])[:, None]
-    gaps, _ = _gaps(feet, T, profile.leg_reach[leg], profile.links, terrain, _AROUND)
-    return np.asarray((gaps >= margin).all(axis=(0, 2)))
-
-
-def rises_clear(
-    leg: int, feet: Array, T_world_body: Array, margin: float, profile: RobotProfile, terrain: Terrain
-) -> NDArray[np.bool_]:
-    """Return from which (n,) foot centres one leg's foot rises without touching.
-
-    A folded leg cannot lift its foot vertically: it pushes the foot outwards. The ground there must be lower than the foot by a
-    margin [m]. This must hold for all body poses (k, 4, 4) while the foot stands. Foot centres are (n, 3) [m] {world}.
-    """
-    T = (T_world_body @ profile.T_body_coxa[leg])[:, None]
-    R, p = T[..., :3, :3], T[..., None, :3, 3]
-    risen = feet + _RISES[:, None]
-    pushed = leg_nearest_reachable((risen - p) @ R, profile.leg_reach[leg], profile.links) @ R.mT + p
-    beside = np.linalg.norm((pushed - risen)[..., :2], axis=-1) > _PUSHED
-    if not beside.any():
-        return np.ones(len(feet), dtype=np.bool_)
-    ground = np.fmax.reduce(terrain.heights(pushed[..., None, :2] + _AROUND_FOOT), axis=-1)
-    return np.asarray(~(beside & (ground > pushed[..., 2] - profile.foot.radius - margin)).any(axis=(0, 1)))
 
 
 def links_at(q: Array, links: LegLinks) -> Array:
     """Return samples (..., 8, 3) [m] {coxa} of femur and tibia at q (..., 3) [rad]."""
     femur, shank = q[..., 1:2], q[..., 1:2] + q[..., 2:3]
-    along, beyond = links.femur * _FEMUR, links.tibia * _TIBIA
+    along, beyond = links.femur * np.array(FEMUR), links.tibia * np.array(TIBIA)
     reach = links.coxa + np.cos(femur) * along + np.cos(shank) * beyond
     return np.stack(
         [np.cos(q[..., :1]) * reach, np.sin(q[..., :1]) * reach, np.sin(femur) * along + np.sin(shank) * beyond], axis=-1
@@ -168,12 +128,12 @@ def _pushed(
     R, p = T[..., :3, :3], T[..., :3, 3]
     wanted = ((feet - p)[..., None, :] @ R)[..., 0, :]
     reached = leg_nearest_reachable(wanted, profile.leg_reach, profile.links)
-    aside = way.swing & (np.linalg.norm((reached - wanted)[..., :2], axis=-1) > _PUSHED)
+    aside = way.swing & (np.linalg.norm((reached - wanted)[..., :2], axis=-1) > PUSHED)
     nowhere = np.zeros((6, 2))
     if not aside.any():
         return np.zeros(6, dtype=np.bool_), nowhere
     at: Array = (R @ reached[..., None])[..., 0] + p
-    ground = np.fmax.reduce(terrain.heights(at[..., None, :2] + _AROUND_FOOT), axis=-1)
+    ground = np.fmax.reduce(terrain.heights(at[..., None, :2] + AROUND_FOOT), axis=-1)
     radius = profile.foot.radius
     # Ground no higher than the ground at the start or at the touchdown of a foot is no obstacle.
     leaves, comes = (np.fmax(foot[:, 2] - radius, terrain.heights(foot[:, :2])) for foot in (way.start, way.end))
@@ -184,9 +144,7 @@ def _pushed(
     return hits.any(axis=0), at[hits.argmax(axis=0), np.arange(6), :2]
 
 
-def _gaps(
-    feet: Array, T_world_coxa: Array, reach: Array, links: LegLinks, terrain: Terrain, around: Array = _BELOW
-) -> tuple[Array, Array]:
+def _gaps(feet: Array, T_world_coxa: Array, reach: Array, links: LegLinks, terrain: Terrain) -> tuple[Array, Array]:
     """Return heights (..., 8) [m] of a leg's samples over the ground, and the samples.
 
     The height is infinite where the ground is unknown.
@@ -197,7 +155,6 @@ def _gaps(
         reach: (..., 2) [m] shortest and longest way from the femur's axis to the foot.
         links: Coxa, femur and tibia lengths [m].
         terrain: The map.
-        around: (k, 2) [m] offsets from a sample at which the ground counts.
     """
     R, p = T_world_coxa[..., :3, :3], T_world_coxa[..., :3, 3]
     feet_coxa = ((feet - p)[..., None, :] @ R)[..., 0, :]
@@ -205,6 +162,6 @@ def _gaps(
     points = links_at(q, links) @ R.mT + p[..., None, :]
     known = np.isfinite(points[..., 0])
     xy = np.where(known[..., None], points[..., :2], 0.0)
-    ground = np.fmax.reduce(terrain.heights(xy[..., None, :] + around), axis=-1)
+    ground = terrain.heights(xy)
     known &= np.isfinite(ground)
     return np.where(known, points[..., 2] - np.where(known, ground, 0.0), np.inf), points

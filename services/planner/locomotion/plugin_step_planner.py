@@ -4,11 +4,12 @@ from collections.abc import Set
 
 import numpy as np
 
+from sextant.services.planner.compiled_terrain import GOOD
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.services.planner.locomotion.replan_attempts import RefusedSteps
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
-from sextant.services.planner.terrain import GOOD, Terrain
+from sextant.services.planner.terrain import Terrain
 from sextant.shared.plugins import step_planner as plugin
 from sextant.shared.plugins.loading import Plugin
 from sextant.shared.robot.profile import RobotProfile

@@ -7,16 +7,17 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.planner.compiled_terrain import GOOD, NONE
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import clear_of_ground, floor_height, leaning, slope_under
-from sextant.services.planner.locomotion.foothold_search import NoFoothold
+from sextant.services.planner.locomotion.foothold_search import FootholdFinder, NoFoothold
 from sextant.services.planner.locomotion.gait import GAITS, directions, extrapolate_pose, nominal_touchdowns, swing_order
 from sextant.services.planner.locomotion.leg_collision import LegCollision, StepMotion, find_clearances
 from sextant.services.planner.locomotion.params import StepParams
-from sextant.services.planner.locomotion.reachable_foothold import FootholdFinder, feet_in_reach
 from sextant.services.planner.locomotion.swing_clearance import swing_clearance
-from sextant.services.planner.terrain import GOOD, NONE, Terrain
+from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
+from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 from sextant.shared.wire.messages import VelocityCommand
@@ -364,7 +365,8 @@ class StepPlanner:
 
     def reached(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
         """Return which legs (6,) reach their feet (6, 3) [m] {world}."""
-        return feet_in_reach(self._profile, feet_world, T_world_body)
+        q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
+        return np.asarray(within_limits(self._profile, q).all(axis=1))
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Return which leg would be overstretched at the end of the step, or ""."""

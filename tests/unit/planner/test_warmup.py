@@ -25,8 +25,8 @@ PROFILE = load_profile("phantomx_mk2")
 
 
 def compiled() -> int:
-    """Count the signatures of the roadmap's functions that are compiled or loaded."""
-    modules = [module for name, module in sys.modules.items() if name.startswith("sextant.services.planner.roadmap.")]
+    """Count the signatures of the planner's functions that are compiled or loaded."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("sextant.services.planner.")]
     found = {id(f): f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
     return sum(len(f.signatures) for f in found.values())
 

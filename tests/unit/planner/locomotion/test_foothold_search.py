@@ -8,27 +8,17 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
+from sextant.services.planner.locomotion.foothold_search import Foothold, NoFoothold, offsets_by_distance
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE
-
-Flags = NDArray[np.bool_]
+from tests.support.long_leg import NO_OTHER_FEET, search
 
 RADIUS, RESOLUTION = 0.06, 0.01
 OFFSETS = offsets_by_distance(RADIUS, RESOLUTION)
-NO_OTHER_FEET = np.zeros((0, 2))
+NOWHERE = 9.0  # [m] no place is further along x
 Maker = Callable[..., Terrain]
-
-
-def everywhere(points: Array) -> Flags:
-    return np.ones(len(points), dtype=bool)
-
-
-def nowhere(points: Array) -> Flags:
-    return np.zeros(len(points), dtype=bool)
 
 
 def patchy(seed: int, bad: float) -> Terrain:
@@ -58,8 +48,8 @@ def test_offsets_are_all_cells_in_radius_sorted_by_distance() -> None:
 @settings(max_examples=60)
 def test_nearest_foothold_among_those_with_most_room_is_found(seed: int, bad: float, x: float, y: float) -> None:
     ground, nominal = patchy(seed, bad), np.array([x, y])
-    others = np.random.default_rng(seed + 1).uniform(-0.2, 0.2, (5, 2))
-    found = nearest_foothold(ground, nominal, OFFSETS, others, 0.04, lambda p: p[:, 0] > x - 0.0301)
+    others = np.random.default_rng(seed + 1).uniform(-0.2, 0.2, (5, 3))
+    found = search(ground, nominal, OFFSETS, others, 0.04, beyond=x - 0.0301)
     map_ = ground.map
     best = dict.fromkeys(range(9), np.inf)  # by the number of good cells around a place: the distance of the nearest such place
     i0, j0 = np.rint((nominal - map_.origin) / map_.resolution).astype(int)
@@ -73,7 +63,7 @@ def test_nearest_foothold_among_those_with_most_room_is_found(seed: int, bad: fl
             if (i, j) == (i0, j0) and room == 8:
                 places.append(nominal)
             for place in places:
-                if np.linalg.norm(others - place, axis=1).min() >= 0.04 and place[0] > x - 0.0301:
+                if np.linalg.norm(others[:, :2] - place, axis=1).min() >= 0.04 and place[0] > x - 0.0301:
                     best[room] = min(best[room], float(np.linalg.norm(place - nominal)))
     if np.isinf(min(best.values())):
         assert isinstance(found, NoFoothold)
@@ -86,7 +76,7 @@ def test_nearest_foothold_among_those_with_most_room_is_found(seed: int, bad: fl
 
 def test_nominal_foothold_is_kept_on_good_ground() -> None:
     nominal = np.array([0.1234, -0.0567])
-    found = nearest_foothold(flat_terrain(0, np.zeros(2), 0.07), nominal, OFFSETS, NO_OTHER_FEET, 0.06, everywhere)
+    found = search(flat_terrain(0, np.zeros(2), 0.07), nominal, OFFSETS)
     assert isinstance(found, Foothold)
     np.testing.assert_allclose(found.p_world, [*nominal, 0.07], atol=1e-7)
     assert found.moved == 0.0
@@ -96,8 +86,8 @@ def test_nominal_foothold_is_kept_on_good_ground() -> None:
 @settings(max_examples=30)
 def test_reason_counts_each_cell_once(seed: int) -> None:
     ground = patchy(seed, 0.7)
-    others = np.random.default_rng(seed).uniform(-0.05, 0.05, (2, 2))
-    found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.05, nowhere)
+    others = np.random.default_rng(seed).uniform(-0.05, 0.05, (2, 3))
+    found = search(ground, np.zeros(2), OFFSETS, others, 0.05, NOWHERE)
     assert isinstance(found, NoFoothold)
     total = int(re.search(r"(\d+) cells: ", found.reason)[1])  # type: ignore[index]
     tests = {what: int(n) for n, what in re.findall(r"(\d+) (not seen|too steep|too near another|out of)", found.reason)}
@@ -109,31 +99,29 @@ def test_reason_counts_each_cell_once(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("score", "others", "reachable", "words"),
+    ("score", "others", "beyond", "words"),
     [
-        (np.nan, NO_OTHER_FEET, everywhere, "not seen"),
-        (5.0, NO_OTHER_FEET, everywhere, "too steep or too near an edge"),
-        (0.0, np.zeros((1, 2)), everywhere, "too near another foot"),
-        (0.0, NO_OTHER_FEET, nowhere, "out of reach"),
+        (np.nan, NO_OTHER_FEET, -NOWHERE, "not seen"),
+        (5.0, NO_OTHER_FEET, -NOWHERE, "too steep or too near an edge"),
+        (0.0, np.zeros((1, 3)), -NOWHERE, "too near another foot"),
+        (0.0, NO_OTHER_FEET, NOWHERE, "out of reach"),
     ],
 )
-def test_reason_names_failed_test(
-    make_terrain: Maker, score: float, others: Array, reachable: Callable[[Array], Flags], words: str
-) -> None:
+def test_reason_names_failed_test(make_terrain: Maker, score: float, others: Array, beyond: float, words: str) -> None:
     ground = make_terrain(score=lambda x, y: np.full_like(x, score))
-    found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.2, reachable)
+    found = search(ground, np.zeros(2), OFFSETS, others, 0.2, beyond)
     assert isinstance(found, NoFoothold)
     assert f"({len(OFFSETS)} cells: {len(OFFSETS)} {words}" in found.reason
 
 
 def test_no_foothold_outside_map() -> None:
     ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.2)
-    assert isinstance(nearest_foothold(ground, np.array([5.0, 0.0]), OFFSETS, NO_OTHER_FEET, 0.0, everywhere), NoFoothold)
+    assert isinstance(search(ground, np.array([5.0, 0.0]), OFFSETS), NoFoothold)
 
 
 def test_score_at_limit_is_acceptable(make_terrain: Maker) -> None:
     ground = make_terrain(score=lambda x, y: np.full_like(x, MAX_FOOTHOLD_SCORE))
-    assert isinstance(nearest_foothold(ground, np.zeros(2), OFFSETS, NO_OTHER_FEET, 0.0, everywhere), Foothold)
+    assert isinstance(search(ground, np.zeros(2), OFFSETS), Foothold)
 
 
 @pytest.mark.parametrize(("number", "words"), [(1, "water"), (2, "loose ground")])
@@ -145,8 +133,7 @@ def test_reason_names_hazardous_ground_type(number: int, words: str) -> None:
     hazard = np.full(shape, number, dtype=np.uint8)
     hazard[:100] = 0
     wet = Terrain(replace(ground.map, score=score, hazard=hazard))
-    offsets = offsets_by_distance(0.06, 0.01)
-    found = nearest_foothold(wet, np.zeros(2), offsets, np.zeros((0, 2)), 0.06, lambda p: np.ones(len(p), dtype=bool))
+    found = search(wet, np.zeros(2), OFFSETS)
     assert isinstance(found, NoFoothold)
     assert f" {words}" in found.reason
     assert "too steep" in found.reason
@@ -169,8 +156,8 @@ def block(half: int, bound: int = 5) -> Callable[[Array, Array], Array]:
     return F
 
 
-def search_on(ground: Terrain, nominal: Array, reachable: Callable[[Array], Flags] = everywhere) -> Foothold | NoFoothold:
-    return nearest_foothold(replace(ground, layer="evaluation"), nominal, OFFSETS, NO_OTHER_FEET, 0.06, reachable)
+def search_on(ground: Terrain, nominal: Array, beyond: float = -NOWHERE) -> Foothold | NoFoothold:
+    return search(replace(ground, layer="evaluation"), nominal, OFFSETS, beyond=beyond)
 
 
 def test_foothold_near_border_moves_inwards_and_central_one_stays(make_terrain: Maker) -> None:
@@ -194,7 +181,7 @@ def test_local_minimum_is_chosen_on_small_ground(make_terrain: Maker, half: int)
 
 def test_poor_foothold_is_chosen_if_no_better_one_is_reachable(make_terrain: Maker) -> None:
     ground = make_terrain(evaluation=block(10))
-    found = search_on(ground, np.array([0.10, 0.0]), lambda points: points[:, 0] > 0.095)
+    found = search_on(ground, np.array([0.10, 0.0]), beyond=0.095)
     assert isinstance(found, Foothold)
     assert found.p_world[0] == pytest.approx(0.10)
 
@@ -211,6 +198,6 @@ def test_evaluation_layer_gives_same_reasons(make_terrain: Maker) -> None:
 def test_flat_terrain_is_good_on_both_layers() -> None:
     flat = flat_terrain(0, np.zeros(2), 0.0)
     for ground in (flat, replace(flat, layer="evaluation")):
-        found = nearest_foothold(ground, np.array([0.123, -0.2]), OFFSETS, NO_OTHER_FEET, 0.06, everywhere)
+        found = search(ground, np.array([0.123, -0.2]), OFFSETS)
         assert isinstance(found, Foothold)
         assert found.moved == 0.0

@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sextant.services.planner.compiled_terrain import FootholdRules, leg_numbers, rises_clear, stands_clear
 from sextant.services.planner.locomotion.leg_collision import (
     LegCollision,
     StepMotion,
     find_clearances,
     links_at,
-    rises_clear,
-    stands_clear,
 )
 from sextant.services.planner.locomotion.swing_clearance import lowest_path
 from sextant.services.planner.terrain import Terrain, flat_terrain, plane_terrain
@@ -31,6 +30,8 @@ HIGHEST = PROFILE.stance.max_lift
 MARGIN, FOOT_MARGIN = 0.01, 0.003
 TRIPOD = np.arange(6) % 2 == 0
 MIDDLE = LEGS.index("right middle")
+LEG = leg_numbers(PROFILE)[MIDDLE]
+RULES = FootholdRules(0.06, PROFILE.foot.radius, 0.0, MARGIN, FOOT_MARGIN)
 LOW = np.full(6, 0.025)
 FLAT = flat_terrain(0, np.zeros(2), 0.0)
 Maker = Callable[..., Terrain]
@@ -99,7 +100,9 @@ def test_foothold_without_room_for_tibia_is_refused(make_terrain: Maker) -> None
     way = step(out=0.045)
     feet = way.end[[MIDDLE, MIDDLE]] + [[0.0, 0.0, 0.0], [-0.13, 0.0, 0.0]]
     ground = make_terrain(lambda x, y: np.where((-y > 0.205) & (-y < 0.23) & (x > 0.1), 0.07, 0.0))
-    np.testing.assert_array_equal(stands_clear(MIDDLE, feet, way.T_end[None], MARGIN, PROFILE, ground), [False, True])
+    elevation, _, grid, _ = ground.ground
+    coxa = way.T_end @ PROFILE.T_body_coxa[MIDDLE]
+    assert [stands_clear(elevation, grid, LEG, RULES, coxa, *foot) for foot in feet.tolist()] == [False, True]
 
 
 def test_step_that_pushes_stance_leg_into_block_is_refused(make_terrain: Maker) -> None:
@@ -118,12 +121,14 @@ def test_foot_of_folded_leg_needs_room_outwards_when_rising(make_terrain: Maker)
     feet = apply(body @ PROFILE.T_body_coxa[MIDDLE], np.column_stack([out, np.zeros(3), np.zeros(3)]))
     feet[:, 2] = PROFILE.foot.radius
     bodies = np.stack([body @ from_xyz_rpy((x, 0.0, 0.0), np.zeros(3)) for x in (-0.1, 0.0, 0.1)])  # the body passes the feet
+    coxas = bodies @ PROFILE.T_body_coxa[MIDDLE]
     edge = abs(feet[0, 1]) + 0.025  # of a block further out than the first two feet; the third foot stands on it
 
     def room(height: float) -> list[bool]:
         block = make_terrain(lambda x, y: np.where(-y > edge, height, 0.0))
         on = feet + [0.0, 0.0, 1.0] * np.where(-feet[:, 1:2] > edge, np.nan_to_num(height), 0.0)
-        return [bool(free) for free in rises_clear(MIDDLE, on, bodies, 0.003, PROFILE, block)]
+        elevation, _, grid, _ = block.ground
+        return [all(rises_clear(elevation, grid, LEG, RULES, coxa, *foot) for coxa in coxas) for foot in on.tolist()]
 
     assert room(0.0) == [True, True, True]
     assert room(0.05) == [False, False, True]

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from sextant.services.planner.compiled_terrain import GOOD, NONE
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.blind_walking import BlindStepPlanner
 from sextant.services.planner.locomotion.missing_ground import MissingGround
-from sextant.services.planner.terrain import GOOD, NONE, Terrain, flat_terrain
+from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.wire.messages import HAZARDS, UNKNOWN, ActuatorState
 from tests.unit.planner.test_service import PROFILE, Rig
