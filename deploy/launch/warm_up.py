@@ -37,7 +37,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
-    services = _SERVICES[1:] if arguments.least else _SERVICES
+    services = ("planner.locomotion", *_SERVICES[1:]) if arguments.least else _SERVICES
     scenarios = _SCENARIOS[:1] if arguments.least else _SCENARIOS
     jobs = 1 if has_compiled() or usable_cores() == 1 else len(services)
     tasks = [(service, scenarios, arguments.progress) for service in services]
@@ -62,8 +62,8 @@ def compile_functions(profile: RobotProfile, scenario: str) -> None:
 
 
 def _compile(service: str, profile: RobotProfile, scenario: str) -> None:
-    """Compile the functions of a service, which is imported here, so that other processes need not."""
-    settings = import_module(f"sextant.services.{service}.config").Settings
+    """Compile the functions of a service or a part of it, which is imported here, so that other processes need not."""
+    settings = import_module(f"sextant.services.{service.partition('.')[0]}.config").Settings
     warmup = import_module(f"sextant.services.{service}.warmup")
     warmup.compile_functions(profile, settings(scenario) if service == "simulator" else settings())
 

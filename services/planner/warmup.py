@@ -1,4 +1,4 @@
-"""Warm-up: plan a step and a short gap crossing, so that their functions are compiled in advance.
+"""Warm-up: plan a step and a short gap crossing, so that all functions are compiled in advance.
 
 The search of gap crossings takes long to compile. The first time, the planner already works meanwhile: it waits with a crossing
 (`SearchCompilation`).
@@ -18,41 +18,27 @@ from typing import Any
 import numpy as np
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.locomotion.gait import GAITS
-from sextant.services.planner.locomotion.step_planner import StepPlanner, StepStart
+from sextant.services.planner.locomotion import warmup as steps
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
-from sextant.services.planner.terrain import flat_terrain
-from sextant.shared.geometry import apply, from_xyz_rpy
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.shutdown import end_with, leave
 from sextant.shared.wire import codec
-from sextant.shared.wire.messages import PassageMap, VelocityCommand
+from sextant.shared.wire.messages import PassageMap
 
 _CELL, _CELLS = 0.01, (150, 120)  # [m], and number of cells along and across
 _START, _GOAL = 0.44, 0.80  # [m] start and goal of the body along the strip
 _EXPANSIONS = 200
-_SPEED = 0.05  # [m/s] of a step
 _ANY_ROBOT = "phantomx_mk2"  # the compiled code is the same for all
 _LOWEST = 19  # priority of the compiling process, by `nice`
 
 
-def compile_steps(profile: RobotProfile, settings: Settings) -> None:
-    """Compile all functions that the planning of steps calls."""
-    height = profile.stance.body_height
-    body = from_xyz_rpy((0.0, 0.0, height), np.zeros(3))
-    command = VelocityCommand(0, np.array([_SPEED, 0.0]), 0.0, height, profile.stance.rough_lift, "tripod")
-    swing = np.isin(np.arange(6), GAITS[command.gait].groups[0])
-    start = StepStart(body, apply(body, profile.rest_feet(height)), swing, command)
-    StepPlanner(profile, settings).plan(start, flat_terrain(0, np.zeros(2), 0.0))
-
-
 def compile_functions(profile: RobotProfile, settings: Settings) -> None:
     """Compile all functions that the planner calls."""
-    compile_steps(profile, settings)
+    steps.compile_functions(profile, settings)
     height = profile.stance.body_height
     elevation, nothing = np.zeros(_CELLS, dtype=np.float32), np.zeros(_CELLS, dtype=np.bool_)
     layers = (elevation, np.zeros((*_CELLS, 3), dtype=np.int16), elevation, nothing, np.full(_CELLS, -1, dtype=np.int8))
@@ -87,7 +73,7 @@ class SearchCompilation:
 
     def start(self, profile: RobotProfile, settings: Settings) -> None:
         """Load the search, or start to compile it if it is not cached; compile the planning of steps."""
-        compile_steps(profile, settings)
+        steps.compile_functions(profile, settings)
         if is_compiled():
             self._load(profile, settings)
             return

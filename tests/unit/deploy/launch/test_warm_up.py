@@ -28,7 +28,7 @@ def _keep_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (False, 1, [], ["mapper", "perception", "planner", "simulator"], 1),
         (False, 2, [], ["mapper", "perception", "planner", "simulator"], 4),
-        (False, 2, ["--least"], ["mapper", "perception", "simulator"], 3),
+        (False, 2, ["--least"], ["mapper", "perception", "planner.locomotion", "simulator"], 4),
         (True, 16, [], ["mapper", "perception", "planner", "simulator"], 1),
     ],
 )
