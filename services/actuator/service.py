@@ -285,7 +285,7 @@ class Actuator:
         if motion.end_posture():
             estimator.restart(self._measured())
             self._restart_walk(targets.feet)
-            motion.executor.require_proof(~estimator.contact.legs)  # on uneven ground some feet hang
+            motion.executor.seek_ground(~estimator.contact.legs)  # on uneven ground, or with legs that differ, some feet hang
             self._guard.risen()
         else:
             self._perform(self._guard.seated(now_ns))

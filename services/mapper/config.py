@@ -20,6 +20,8 @@ class MapperParams(Params):
     assumed_ahead: float = ranged(0.70, 0.0, 3.0)  # [m] assumed ground ahead of the body's centre
     assumed_behind: float = ranged(0.45, 0.0, 3.0)  # [m] assumed ground behind it
     assumed_aside: float = ranged(0.42, 0.0, 3.0)  # [m] assumed ground to either side of it
+    # [m] largest difference of the ground's height by a leg and by the camera that the legs follow; 0 turns it off
+    leg_difference: float = ranged(0.02, 0.0, 0.05)
     passage_every: int = ranged(8, 1, 1000)  # scans per passage map, while one is requested
     elevation: FusionParams = field(default_factory=FusionParams)
     ray_clearing: RayClearingParams = field(default_factory=RayClearingParams)

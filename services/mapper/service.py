@@ -48,7 +48,7 @@ class Mapper:
         self._layers = FootholdLayers.of(shape, resolution, foot_radius_m, settings.footholds, profile.camera.color)
         self._rule = PluginRule(profile, settings.foothold_rule) if settings.foothold_rule else None
         self._admission = ScanAdmission()
-        self._feet = FootEvidence(foot_radius_m, resolution)
+        self._feet = FootEvidence(foot_radius_m, resolution, settings.leg_difference)
         self._types = TerrainTypeMapping(settings, foot_radius_m)
         self._hazards: tuple[NDArray[np.uint8], Array] | None = None  # of the newest map, and the centre of its cell (0, 0)
         self._survey = PassageSurvey(profile, settings, self.stages)
@@ -173,6 +173,7 @@ class Mapper:
             score=score,
             evaluation=evaluation,
             assumed=snapshot.assumed.astype(np.bool_),
+            leg_heights=self._feet.leg_heights.differences.copy(),
             **made_of,
         )
 

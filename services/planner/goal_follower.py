@@ -168,6 +168,8 @@ class GoalFollower:
             return None if state.phase < self._settings.revision.plan_from_phase else self._walk(led, robot, terrain)
         if isinstance(led, NextStep):
             step = NumberedStep(led.stride, led.number, (0, 0), robot.T_world_odom, led.stop)
+            if terrain is not None:
+                step = replace(step, leg_heights=terrain.map.leg_heights)
             return Decision("stepping", led.words, step=step)
         if isinstance(led, CannotCross):
             reason = f"{no_path}; no gap crossing: {led.reason}" if no_path else f"no gap crossing: {led.reason}"

@@ -81,6 +81,7 @@ BrokenPart: TypeAlias = Literal["value", "id", "length", "error", "two bits", "t
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
 _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)
+_LEVEL_LEGS = np.zeros(6)
 _NEVER, _NOWHERE, _NONE = np.full(6, -1, dtype=np.int64), np.zeros((6, 3)), np.zeros(6, dtype=np.bool_)
 _NO_PATH = np.zeros((0, 2))
 _NO_INPUTS = np.zeros(0)
@@ -306,6 +307,8 @@ class TerrainMap(Message):
     confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=100)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
     )  # [%] probability of the most likely ground type, 0 where unknown
+    # (6,) [m] height of the ground as each leg measures it, minus `elevation`
+    leg_heights: Annotated[NDArray[np.float64], Dims(6)] = dataclasses.field(default_factory=lambda: _LEVEL_LEGS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -189,9 +189,15 @@ class StepExecutor:
 
     # --------------------------------------------------------------------------------------------------------- commands
 
-    def require_proof(self, legs: NDArray[np.bool_]) -> None:
-        """Require legs (6,) to prove that they stand before others are lifted."""
+    def seek_ground(self, legs: NDArray[np.bool_]) -> None:
+        """Let legs (6,) of a resting robot that carry no load reach down for the ground.
+
+        They must prove that they stand before others are lifted. A robot that does not stand on three legs is held up, and its
+        feet stay where they are.
+        """
         self._contacts.proven &= ~legs
+        if 0 < np.count_nonzero(legs) <= 3:
+            self._abort(legs)
 
     def accept(self, plan: StepPlan) -> None:
         """Take over an accepted plan: a revision of the running step, or the next step.

@@ -3,6 +3,7 @@
 import numpy as np
 
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid
+from sextant.services.mapper.elevation.leg_heights import LegHeights
 from sextant.shared.geometry import Array, apply
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode
 
@@ -13,19 +14,24 @@ _MIN_LOADED_FEET = 5  # minimum number of feet that carry load before the first 
 _CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m], [ns] height error and its duration from which feet refute the map
 _SOLE_RADIUS_M, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
 _TOUCH_SIGMA_M = 0.005  # [m] of a height measured by a foot: joint errors and the spherical shape of the foot
+_LEVEL_M = 0.01  # [m] largest height range of the map around a foot that shows the difference of its leg
 
 
 class FootEvidence:
     """Compares the feet with the map."""
 
-    def __init__(self, foot_radius_m: float, resolution: float):
+    def __init__(self, foot_radius_m: float, resolution: float, leg_difference: float = 0.0):
         """Start without touchdowns.
 
         Args:
             foot_radius_m: [m] from a foot's centre to its underside.
             resolution: [m] cell edge of the map.
+            leg_difference: [m] largest difference of the ground's height by a leg and by the camera.
         """
+        self.leg_heights = LegHeights(leg_difference)
         self._foot_radius_m = foot_radius_m
+        around = resolution * np.arange(-1, 2)
+        self._sole = np.stack(np.meshgrid(around, around), axis=-1)  # (3, 3, 2) [m] of the cells under a foot
         self._offsets = np.arange(-_SOLE_RADIUS_M, _SOLE_RADIUS_M + 1e-9, resolution)  # [m] of the cells around a foot
         self._touch_ns = np.full(6, -1, dtype=np.int64)  # stamps of the newest touchdowns in the map
         self._refuted_ns = -1  # stamp of the first scan that the feet refuted without interruption, or -1
@@ -34,9 +40,14 @@ class FootEvidence:
         """Correct the map at the newest touchdowns, with or without ground."""
         new = np.flatnonzero(legs.touchdown_ns > self._touch_ns)
         self._touch_ns = legs.touchdown_ns.copy()
-        for p in apply(pose.T_world_odom, legs.touchdown_point[new]):
-            if abs(float(grid.heights(p[:2])) - p[2]) <= MAX_HEIGHT_ERROR_M:  # and not NaN
-                grid.touch(p, _TOUCH_SIGMA_M, self._foot_radius_m)
+        for leg, p in zip(new.tolist(), apply(pose.T_world_odom, legs.touchdown_point[new]), strict=True):
+            if not abs(float(grid.heights(p[:2])) - p[2]) <= MAX_HEIGHT_ERROR_M:  # or NaN
+                continue
+            seen = grid.heights(p[:2] + self._sole)
+            if legs.touchdown_contact[leg] and np.ptp(seen) <= _LEVEL_M:  # and not NaN
+                self.leg_heights.update(leg, float(p[2]), float(seen.mean()))
+            p[2] -= self.leg_heights.differences[leg]
+            grid.touch(p, _TOUCH_SIGMA_M, self._foot_radius_m)
 
     def is_refuted(self, grid: ElevationGrid, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> bool:
         """Return whether stance feet have refuted the map for `_CONTRADICTED_NS`.

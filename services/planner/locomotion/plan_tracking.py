@@ -3,7 +3,7 @@
 The actuator's state names the plan that it executes and the plan that it refused, by their stamps.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class NumberedStep:
     T_world_odom: Array  # (4, 4) estimate under which the step was planned
     stop: bool = False  # whether the legs rest after the step
     map_ns: int = -1  # [ns] stamp of the newest terrain map that the step agrees with; -1 without one
+    leg_heights: Array = field(default_factory=lambda: np.zeros(6))  # (6,) [m] of that map, see TerrainMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +138,8 @@ class PlanTracker:
 
     def _send(self, state: ActuatorState, step: NumberedStep) -> StepPlan:
         revision = 1 + max((sent.plan.revision for sent in self._sent if sent.plan.step == step.number), default=0)
-        planned = step.planned
+        planned, touchdown = step.planned, step.planned.touchdown.copy()
+        touchdown[planned.swing, 2] += step.leg_heights[planned.swing]  # the actuator measures heights by its legs
         newest_ns = self._sent[-1].plan.stamp_ns if self._sent else -1
         plan = StepPlan(
             stamp_ns=max(state.stamp_ns, newest_ns + 1),  # it identifies the plan
@@ -146,7 +148,7 @@ class PlanTracker:
             revision=revision,
             T_world_odom=np.array(step.T_world_odom),
             swing=planned.swing,
-            touchdown=planned.touchdown,
+            touchdown=touchdown,
             clearance=planned.clearance,
             body_goal=planned.body_goal,
             duration=planned.duration,

@@ -217,7 +217,8 @@ class StepSelector:
     def _next(
         self, robot: RobotEstimate, planned: PlannedStep, variant: StepVariant, terrain: Terrain | None, stop: bool = False
     ) -> NumberedStep:
-        return NumberedStep(planned, robot.state.step + 1, variant, robot.T_world_odom, stop, self._map_ns(terrain))
+        legs = np.zeros(6) if terrain is None else terrain.map.leg_heights
+        return NumberedStep(planned, robot.state.step + 1, variant, robot.T_world_odom, stop, self._map_ns(terrain), legs)
 
     def _map_ns(self, terrain: Terrain | None) -> int:
         """Return the stamp [ns] of a map, or -1 where none is used."""

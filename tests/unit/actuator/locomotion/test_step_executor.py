@@ -551,11 +551,12 @@ def test_leg_at_joint_limits_is_not_taken_for_blocked() -> None:
 
 
 def test_doubtful_stance_leg_is_tested_before_others_lift() -> None:
-    """Check the rise on uneven ground, where only some of the feet carry load."""
+    """Check the rise of a robot that is held up, without load on any foot."""
     walker = new_walker()
-    hangs = np.arange(6) == 1
-    walker.require_proof(hangs)
+    walker.seek_ground(ALL)
+    assert not walker.searching.any()
     walker.accept(plan_to(1, body_at(0.03)))
+    hangs = np.arange(6) == 1
     for _ in range(60):
         walker.update(DT, walker.body_ref, FootContact(~ALL, ~hangs, walker.feet_odom))
         if walker.searching.any():
@@ -563,3 +564,17 @@ def test_doubtful_stance_leg_is_tested_before_others_lift() -> None:
     np.testing.assert_array_equal(walker.searching, hangs)
     assert walker.resting is False
     assert "no ground under the right front foot" in walker.trouble
+
+
+def test_hanging_foot_of_a_standing_robot_reaches_down_to_the_ground() -> None:
+    """Check the rise on uneven ground, where only some of the feet carry load."""
+    walker = new_walker()
+    hangs, start = np.arange(6) == 1, walker.feet_odom[1, 2]
+    walker.seek_ground(hangs)
+    np.testing.assert_array_equal(walker.searching, hangs)
+    while walker.searching.any():
+        touches = hangs & (walker.feet_odom[:, 2] < start - 0.012)
+        walker.update(DT, walker.body_ref, FootContact(touches, ~hangs | touches, walker.feet_odom))
+    assert walker.resting
+    assert walker.feet_odom[1, 2] == pytest.approx(start - 0.012, abs=0.002)
+    assert "ground found 12 mm lower than expected" in walker.trouble

@@ -57,6 +57,46 @@ def test_touchdown_far_from_the_map_is_ignored() -> None:
     assert float(grid.heights([0.2, 0.1])) == pytest.approx(0.0, abs=1e-6)
 
 
+def land(feet: FootEvidence, grid: ElevationGrid, leg: int, places: Array) -> None:
+    """Let a foot land on places (n, 3) [m] {world}, one after the other."""
+    for k, place in enumerate(places):
+        one = np.arange(6) == leg
+        touch = np.where(one[:, None], place, 0.0)
+        feet.apply_touchdowns(
+            grid, POSE, legs(touchdown_point=touch, touchdown_ns=np.where(one, (k + 1) * S, -1), touchdown_contact=one)
+        )
+
+
+def places_at(heights: Array) -> Array:
+    """Return places (n, 3) [m] {world} 6 cm apart."""
+    return np.column_stack([np.linspace(-0.3, 0.3, len(heights)), np.full(len(heights), 0.1), heights])
+
+
+def test_height_of_one_leg_is_learned_and_kept_out_of_the_map() -> None:
+    feet, grid = FootEvidence(RADIUS, 0.01, leg_difference=0.02), grid_at(0.0)
+    rng = np.random.default_rng(0)
+    places = places_at(-0.008 + rng.normal(0.0, 0.002, 11))
+    land(feet, grid, 2, places)
+    np.testing.assert_allclose(feet.leg_heights.differences, [0.0, 0.0, -0.008, 0.0, 0.0, 0.0], atol=0.002)
+    assert abs(float(grid.heights(places[-1, :2]))) < 0.003
+    without = FootEvidence(RADIUS, 0.01, leg_difference=0.0)
+    land(without, grid_at(0.0), 2, places)
+    assert not without.leg_heights.differences.any()
+
+
+def test_difference_of_a_leg_is_bounded_and_edges_do_not_count() -> None:
+    feet = FootEvidence(RADIUS, 0.01, leg_difference=0.02)
+    land(feet, grid_at(0.0), 2, places_at(np.linspace(-0.01, -0.06, 11)))
+    assert feet.leg_heights.differences[2] == pytest.approx(-0.02)
+    land(feet, grid_at(0.0), 4, places_at(np.full(11, -0.05)))
+    assert feet.leg_heights.differences[4] == 0.0
+    grid = grid_at(0.0)
+    for x in np.arange(-0.35, 0.35, 0.01):
+        grid.touch([x, 0.11, 0.04], 0.001, 0.005)
+    land(feet, grid, 5, places_at(np.full(11, -0.008)))
+    assert feet.leg_heights.differences[5] == 0.0
+
+
 def test_standing_feet_refute_the_map_after_a_while() -> None:
     feet, grid = evidence(), grid_at(-0.25)
     assert [feet.is_refuted(grid, k * S // 2, POSE, legs()) for k in range(4)] == [False, False, True, True]

@@ -158,6 +158,18 @@ def test_foot_that_met_ground_early_counts_where_it_stands(plans: PlanTracker) -
     np.testing.assert_allclose(stance.feet[~legs], plan.touchdown[~legs])
 
 
+def test_swinging_legs_land_at_the_height_of_their_own_measure(plans: PlanTracker) -> None:
+    heights = np.array([-0.01, 0.02, 0.005, 0.0, -0.003, 0.0])
+    step = replace(numbered(), leg_heights=heights)
+    plan = plans.send(state(), step)
+    np.testing.assert_allclose(plan.touchdown[:, 2] - step.planned.touchdown[:, 2], np.where(TRIPOD, heights, 0.0))
+    np.testing.assert_array_equal(plan.touchdown[:, :2], step.planned.touchdown[:, :2])
+    plans.update(during(plan, 20))
+    renewed = plans.renew(during(plan, 200), pose(np.eye(4)))
+    assert renewed is not None
+    np.testing.assert_allclose(renewed.touchdown, plan.touchdown)
+
+
 def test_running_step_is_renewed_in_newest_world(plans: PlanTracker) -> None:
     plan = plans.send(state(), numbered(stop=True))
     assert plans.renew(state(100), None) is None, "it has not begun"
