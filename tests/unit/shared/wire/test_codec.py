@@ -508,7 +508,7 @@ def test_boolean_value_of_two_in_large_array_is_refused(where: int) -> None:
     cells = np.zeros((n, n), dtype=np.int8)
     frame = bytearray(codec.encode(m.TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, flags, cells)))
     assert codec.decode(bytes(frame), m.TerrainMap)
-    begin = len(frame) - 2 * n * n  # the flags are the last array but one, and no gap follows them
+    begin = len(frame) - 2 * n * n - 6 * 8  # the cells and the legs' heights follow the flags without a gap
     frame[begin + where % (n * n)] = 2
     assert "truth values of 0 or 1" in refusal(bytes(frame), m.TerrainMap)
 
