@@ -73,7 +73,9 @@ class Mapper:
         again = (
             f", restarted {self._restarts} times because the feet stood where the map had no ground" if self._restarts else ""
         )
-        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}{again}"
+        legs = self._feet.leg_heights.describe()
+        differs = f"; {legs}" if legs else ""
+        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}{again}{differs}"
 
     def step(self, scan: Scan, inbox: Inbox) -> Iterator[Message]:
         """Fuse one scan, and score and publish the map after several scans.

@@ -9,11 +9,13 @@ foot and filtered on line.
 import numpy as np
 
 from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import LEGS
 
 _START_SIGMA_M = 0.006  # [m] of the difference before the first touchdown: a femur that is off by 2 deg
 _DRIFT_SIGMA_M = 0.001  # [m] of its change from touchdown to touchdown, because the pose drifts, too
 _TOUCH_SIGMA_M = 0.005  # [m] of one measurement: joint resolution, sag, and the map under one foot
 _OUTLIER_M = 0.03  # [m] a larger difference is an edge, not the leg
+_WORTH_TELLING_M = 0.004  # [m] legs that match their profile stay below 1 mm
 
 
 class LegHeights:
@@ -39,3 +41,15 @@ class LegHeights:
         moved = self.differences[leg] + gain * (found - self.differences[leg])
         self.differences[leg] = np.clip(moved, -self._largest, self._largest)
         self._variances[leg] = (1.0 - gain) * variance
+
+    def describe(self) -> str:
+        """Return which leg differs most from the camera, as text for the operator; "" if none differs much."""
+        leg = int(np.argmax(np.abs(self.differences)))
+        difference = float(self.differences[leg])
+        if abs(difference) < _WORTH_TELLING_M:
+            return ""
+        where = "lower" if difference < 0.0 else "higher"
+        return (
+            f"the {LEGS[leg]} leg measures the ground {abs(difference) * 1e3:.0f} mm {where} than the camera: check its horns "
+            "with `sextant servos calibrate`, and the camera's mount in the profile"
+        )

@@ -1,5 +1,6 @@
 """Evidence of the feet: touchdowns correct the map, standing feet refute it."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -78,10 +79,12 @@ def test_height_of_one_leg_is_learned_and_kept_out_of_the_map() -> None:
     places = places_at(-0.008 + rng.normal(0.0, 0.002, 11))
     land(feet, grid, 2, places)
     np.testing.assert_allclose(feet.leg_heights.differences, [0.0, 0.0, -0.008, 0.0, 0.0, 0.0], atol=0.002)
+    assert re.match(r"the right middle leg measures the ground [78] mm lower than the camera", feet.leg_heights.describe())
     assert abs(float(grid.heights(places[-1, :2]))) < 0.003
     without = FootEvidence(RADIUS, 0.01, leg_difference=0.0)
     land(without, grid_at(0.0), 2, places)
     assert not without.leg_heights.differences.any()
+    assert without.leg_heights.describe() == ""
 
 
 def test_difference_of_a_leg_is_bounded_and_edges_do_not_count() -> None:
