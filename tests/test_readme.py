@@ -55,6 +55,7 @@ RUN_BY = {
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_passage_and_thesis_tables",
     "trials troubles": "tests/unit/deploy/test_cli.py::test_trials_troubles_table_covers_each_trouble_and_terrain",
+    "trials usual": "tests/unit/deploy/test_cli.py::test_trials_of_a_level_walk_every_terrain_with_its_deviations",
     "recording replay": "tests/walk/test_replay.py::test_replay_command_matches_ground_truth_and_prints_json",
     "recording replay FILE": "tests/unit/evaluation/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
     "record": "tests/live/test_recording.py::test_killed_recorder_loses_less_than_one_second",

@@ -9,12 +9,12 @@ from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command,
 from sextant.deploy.terminal.interrupts import explained_interrupts
 from sextant.shared.files import whole_files
 
-_GROUPS = ("all", "passages", "troubles")
+_GROUPS = ("all", "passages", "troubles", "mild", "usual", "harsh")
 
 
 @command()
 @argument(
-    "scenario", "scenario name or TOML file; or a group: all, passages, troubles", "SCENARIO", shell_complete=options.scenarios
+    "scenario", f"scenario name or TOML file; or a group: {', '.join(_GROUPS)}", "SCENARIO", shell_complete=options.scenarios
 )
 @options.variant
 @option(
@@ -78,7 +78,7 @@ def _campaign(
     passages = group == "passages"
     folder = out_folder(out, f"trials-{group}")
     hear = open_progress(as_json).say
-    courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED}[group]
+    courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED, **tables.LEVELS}[group]
     table = "passages" if passages else "walks"
     with explained_interrupts(lambda: _kept(folder, "campaign.jsonl")):
         found = run_campaign(courses, seeds, jobs, folder, blind, variant.applied(), hear, table=table)

@@ -47,6 +47,11 @@ TROUBLES: Mapping[str, str] = {
 TROUBLED: Mapping[str, str] = {
     f"{course}+{trouble}": words for trouble, words in TROUBLES.items() for course in ("steps", "stairs", "cobbles")
 }
+# Levels of deviation of the robot from its profile; each walks all courses of the public table.
+LEVELS: Mapping[str, Mapping[str, str]] = {
+    level: {f"{course}+{level}": words for course, words in WALKED.items()} for level in ("mild", "usual", "harsh")
+}
+_NAMED: Mapping[str, str] = {**WALKED, **PASSAGES, **TROUBLED, **LEVELS["mild"], **LEVELS["usual"], **LEVELS["harsh"]}
 _OWN = {"foothold": "Sextant's foothold rule", "planner": "Sextant's step planner", "registration": "Sextant's registration"}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
 _WALKS: Columns = {
@@ -111,7 +116,7 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     """
     found, older = results_store.newest(runs)
     summaries = [batches.summarise(batch) for batch in found]
-    places = {name: place for place, name in enumerate([*WALKED, *PASSAGES, *TROUBLED])}
+    places = {name: place for place, name in enumerate(_NAMED)}
     pairs: dict[tuple[int, str, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
         pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait, t.params), []).append(t)
@@ -160,7 +165,7 @@ def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
 
 
 def _reached(campaign: Campaign, entry: Entry) -> list[str]:
-    words = {**WALKED, **PASSAGES, **TROUBLED}.get(entry.seeing.scenario, "")
+    words = _NAMED.get(entry.seeing.scenario, "")
     course = _ticked(_name(campaign, entry.seeing)) + (f": {words}" if words else "")
     return [course, _outcome(entry.seeing), _outcome(entry.blind) if entry.blind else ""]
 

@@ -459,15 +459,34 @@ def test_trials_troubles_table_covers_each_trouble_and_terrain(
 ) -> None:
     from sextant.evaluation.lockstep import lockstep_run
     from sextant.evaluation.trials import campaign_table
-    from sextant.shared.scenario.scenario import trouble_names
+    from sextant.shared.scenario.scenario import load_trouble, trouble_names
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name))
     assert cli.main(["trials", "troubles", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    assert set(campaign_table.TROUBLES) == set(trouble_names())
+    disturbances = {name for name in trouble_names() if load_trouble(name).mismatch is None}
+    assert set(campaign_table.TROUBLES) == disturbances
+    assert set(campaign_table.LEVELS) == set(trouble_names()) - disturbances
     assert all(f"| `{name}` | 2 of 2" in printed for name in campaign_table.TROUBLED)
     assert cli.main(["trials", "table", str(tmp_path), "--of", "reached"]) == 0
     assert "| `steps+sun`: no depth for 10 s, twice | 2 of 2" in capsys.readouterr().out
+
+
+def test_trials_of_a_level_walk_every_terrain_with_its_deviations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from sextant.evaluation.lockstep import lockstep_run
+    from sextant.evaluation.trials import campaign_table
+    from sextant.shared.scenario.mismatch import Mismatch
+
+    def walked(scenario: Scenario, seed: int, *_: object) -> Report:
+        assert scenario.mismatch != Mismatch()
+        return replace(report(True, seed), scenario=scenario.name)
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", walked)
+    assert cli.main(["trials", "usual", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"| `{name}+usual` | 2 of 2" in printed for name in campaign_table.WALKED)
 
 
 @pytest.mark.parametrize(
