@@ -150,14 +150,14 @@ class Planner:
         self._goals.note_certainty(robot)
         self._steps.note_start_place(robot)
         terrain = self._terrain(robot, inbox)
+        invalid_reason = "" if terrain is None else terrain.invalid_reason()
+        if invalid_reason:
+            return Decision("waiting", f"the terrain map is invalid: {invalid_reason}")
         if isinstance(request, Goal) and self._goals.is_crossing(request):
             return self._goals.continue_crossing(request, robot, terrain, inbox.latest(topics.PASSAGE))
         if terrain is None:
             cause = f"; perception reports: {robot.pose.reason}" if not robot.pose.ok else _camera_fault(inbox)
             return Decision("waiting", f"no fresh terrain map{cause}")  # never walk blind
-        invalid_reason = terrain.invalid_reason()
-        if invalid_reason:
-            return Decision("waiting", f"the terrain map is invalid: {invalid_reason}")
         if robot.state.phase < self._settings.revision.retarget_until_phase:
             revised = self._steps.retarget(robot, terrain)
             return None if revised is None else replace(self._decision, step=revised)

@@ -20,6 +20,7 @@ DEEP = -100  # [cells] evaluation function on unlimited level ground
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest plausible cells
 MAX_SAMPLED_LINE_M = 20.0  # [m] maximum length of a line that is sampled cell by cell; longer ones are sampled more coarsely
+_HIGHEST_LEG_M = 0.05  # [m] largest plausible difference of a leg and the camera, which the mapper's parameters allow
 _FAR = 1e6  # [m] beyond it a cell index is no longer exact
 
 
@@ -38,6 +39,8 @@ class Terrain:
             return f"cells of {low} to {high} m expected, found {self.map.resolution:.3g} m"
         if self.map.elevation.size == 0:
             return "cells expected, found none"
+        if np.abs(self.map.leg_heights).max() > _HIGHEST_LEG_M:
+            return f"differences of the legs of at most {_HIGHEST_LEG_M} m expected, found {self.map.leg_heights.tolist()}"
         if np.abs(self.map.origin).max() > _FAR:
             return f"an origin within {_FAR:g} m expected, found {self.map.origin.tolist()}"
         return ""

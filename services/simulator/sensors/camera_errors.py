@@ -21,11 +21,14 @@ class CameraErrors:
             deviation: Errors.
         """
         self._scale, self._bias = np.float32(1.0 / (1.0 + deviation.depth_scale)), np.float32(deviation.depth_bias)
+        self._is_exact = deviation.depth_scale == 0.0 and deviation.depth_bias == 0.0
         self._seen_at = _undistorted_pixels(intrinsics, deviation.distortion) if deviation.distortion else None
 
     def depth(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the inverse depth (h, w) [1/m] that the camera measures; 0 without a surface."""
         w = inverse_depth if self._seen_at is None else self._distort(inverse_depth, cv2.INTER_NEAREST)
+        if self._is_exact:
+            return w
         return np.where(w > 0.0, np.maximum(w * self._scale - self._bias, np.float32(0.0)), np.float32(0.0))
 
     def color(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

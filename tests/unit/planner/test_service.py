@@ -180,6 +180,9 @@ def unusable_maps(map_: TerrainMap) -> dict[str, TerrainMap]:
         "found 1e+09 m": replace(map_, resolution=1e9),
         "found none": replace(map_, **{name: getattr(map_, name)[:0, :0] for name in cells}),
         "an origin within": replace(map_, origin=np.full(2, 1e9)),
+        "differences of the legs of at most 0.05 m expected": replace(
+            map_, leg_heights=np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0])
+        ),
     }
 
 
