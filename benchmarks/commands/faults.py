@@ -1,6 +1,7 @@
 """`python -m benchmarks faults`: inject faults into walks and check the robot's reaction."""
 
 import difflib
+import fnmatch
 
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
@@ -11,7 +12,7 @@ _PHASES, _LIVE_PHASES = 300, 30
 
 
 @command()
-@argument("names", "faults to inject (default: all)", "[FAULT]...", nargs=-1)
+@argument("names", "faults to inject, also by patterns such as 'camera-*-steps' (default: all)", "[FAULT]...", nargs=-1)
 @flag("--live", "inject the faults that need live processes over Zenoh, not those in lockstep")
 @option("--phases", "injections of each fault (default: 300, live 30)", "N", type=options.POSITIVE)
 @flag("--list", "list the faults and exit", "listed")
@@ -22,18 +23,20 @@ def faults(
     names: tuple[str, ...], live: bool, phases: int | None, listed: bool, jobs: int, out: str | None, as_json: bool
 ) -> int:
     """Inject faults at many phases of a step, and check the robot's reaction."""
-    from benchmarks.faults.cases import BY_NAME, CASES, LIVE_CASES
+    from benchmarks.faults.cases import BY_NAME, CAMERA_CASES, CASES, LIVE_CASES
 
+    names = tuple(match for name in names for match in fnmatch.filter(BY_NAME, name) or [name])
     unknown = [name for name in names if name not in BY_NAME]
     if unknown:
         near = difflib.get_close_matches(unknown[0], BY_NAME, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise InputError(f"no fault {unknown[0]!r}; {hint}`python -m benchmarks faults --list` lists all faults")
     wanted = [BY_NAME[name] for name in dict.fromkeys(names)]
-    cases = wanted or list(LIVE_CASES if live else CASES)
+    lockstep = (*CASES, *CAMERA_CASES)
+    cases = wanted or list(LIVE_CASES if live else lockstep)
     if listed:
-        for case in wanted or (*(() if live else CASES), *LIVE_CASES):
-            say(f"{case.name:<28} {case.words}{'; live' if case.live else ''}")
+        for case in wanted or (*(() if live else lockstep), *LIVE_CASES):
+            say(f"{case.name:<32} {case.words}{'; live' if case.live else ''}")
         return SUCCESS
     kinds = {case.live for case in cases}
     if len(kinds) > 1:

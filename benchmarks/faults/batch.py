@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from benchmarks.faults.camera_walk import CameraWalk
 from benchmarks.faults.cases import BY_NAME, Case
 from benchmarks.faults.fault_run import SCENARIO, in_walks
 from benchmarks.faults.live_walk import LiveWalk
@@ -92,7 +93,7 @@ def run_faults(
 def inject(name: str, numbers: tuple[int, ...]) -> list[Injection]:
     """Inject a fault at several phases, and score the results."""
     case = BY_NAME[name]
-    begin = LiveWalk if case.live else FaultWalk
+    begin = LiveWalk if case.live else CameraWalk if case.course else FaultWalk
     return [
         Injection(name, number, seed, line.begin_s, line.phase, line.servo, score(line, case, profile))
         for number, seed, line, profile in in_walks(case, numbers, begin)

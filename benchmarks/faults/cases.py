@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Literal
 
+from sextant.shared.scenario.mover import BoxMover, LegsMover, Mover
+from sextant.shared.scenario.scenario import CameraFaultKind
 from sextant.shared.servo.bus_fault import BusFault
 
 
@@ -78,7 +80,15 @@ class Hogs:
     for_s: float
 
 
-Deed = Away | Meddling | OnBus | Off | Clock | Late | Hogs
+@dataclass(frozen=True, slots=True)
+class OnCamera:
+    """A fault of the camera or its images, or something that moves in its view."""
+
+    what: CameraFaultKind | Mover
+    for_s: float  # a mover ends by itself
+
+
+Deed = Away | Meddling | OnBus | Off | Clock | Late | Hogs | OnCamera
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +109,9 @@ class Limits:
     goal_dps: float = inf  # [deg/s] of a goal from one cycle to the next
     lost_s: float = inf  # of a recording, from the last stored message to the kill
     seated: bool = False  # it sits with torque off before a servo shuts down or the battery is empty
+    reasons: str = ""  # pattern of the reasons with which it may stand during the fault, or at its end
+    stands: bool = False  # it may also stand at the end, with such a reason
+    place_m: float = inf  # change of the error of the estimated position, from the start of the fault to the end
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +127,7 @@ class Case:
     charge: float = 1.0  # initial charge of the battery
     watch_s: float = 8.0  # [s] maximum observation after the fault's end
     live: bool = False  # processes over Zenoh in real time; else in lockstep
+    course: str = ""  # scenario to walk, with every injection into a copy of the walk; empty for level ground
     halves: bool = False  # mapper, planner, page and operator use a separate router, as on another machine
 
     @property
@@ -133,8 +147,8 @@ class Case:
 
     @property
     def ends_the_walk(self) -> bool:
-        """Whether the robot lies with torque off afterwards."""
-        return self.lets_go or self.limits.seated
+        """Whether it is injected into a copy of the walk, because the robot does not walk on, or not far enough."""
+        return self.lets_go or self.limits.seated or bool(self.course)
 
 
 _OUT_S = 2.0  # [s] duration of a fault
@@ -362,4 +376,74 @@ LIVE_CASES: tuple[Case, ...] = (
         for name, words, deeds, limits in _HALVES
     ),
 )
-BY_NAME = {case.name: case for case in (*CASES, *LIVE_CASES)}
+
+COURSES = ("steps", "stairs", "cobbles")
+FOR_GOOD_S = 12.0  # [s] for which a robot is observed under a fault that does not end
+_FOR_S = 4.0  # [s] duration of the others; the scripted operator waits 5 s for a pose
+_WATCH_S = 15.0  # [s] maximum time until it walks again, or has its reason
+_PER_WALK = 2
+
+_PATH = ((0.8, 0.9), (0.8, -0.9))  # [m] across the view, in the robot's frame
+_PERSON = LegsMover(_PATH, speed=0.9, frame="robot")
+_ANIMAL = BoxMover(_PATH, speed=1.2, size=(0.5, 0.15, 0.3), frame="robot")
+_PACING = LegsMover(_PATH, speed=0.45, frame="robot", period_s=4.2)
+
+_UNSEEN = "measured|within its range|camera"  # the image shows too little
+_CONTRADICTS = "overlap|agree|apart|jump|contradict|camera"
+_STAMPS = "stamp|late|out of order|no new image"
+_SEEN = f"foothold|out of reach|{_UNSEEN}|{_CONTRADICTS}"  # the picture shows no ground to stand on
+
+_FAULTS: tuple[tuple[str, str, CameraFaultKind | Mover, str], ...] = (
+    ("absent", "it is unplugged", "absent", "unplugged"),
+    ("blind", "nothing is in its range", "blind", _UNSEEN),
+    ("sun", "sunlight in stripes on the ground, without return", "sun", f"{_UNSEEN}|{_CONTRADICTS}"),
+    ("dark", "a dark surface returns too little light beyond 0.7 m", "dark", _UNSEEN),
+    ("dropouts", "70 % of the pixels lost at random", "dropouts", _UNSEEN),
+    ("blobs", "blobs without return, others in each image", "blobs", _UNSEEN),
+    ("dirt", "dirt on the lens, which seems to be 0.55 to 0.6 m away", "dirt", _SEEN),
+    ("wet", "puddles that mirror something 0.6 m above the ground", "wet", _SEEN),
+    ("noise", "its images are noise", "noise", "noise"),
+    ("frozen", "it repeats one image, with new stamps", "frozen", "frozen"),
+    ("stale", "it repeats one image, with its stamp", "stale", _STAMPS),
+    ("late", "images arrive 1 s late", "late", _STAMPS),
+    ("ahead", "stamps are 1 s in the future", "ahead", _STAMPS),
+    ("backward", "stamps run backward", "backward", _STAMPS),
+    ("jumping", "stamps jump by 0.8 s to and fro", "jumping", _STAMPS),
+    ("swapped", "cx and cy swapped, and fx and fy", "swapped", _CONTRADICTS),
+    ("zoomed", "images of another resolution's focal length", "zoomed", _CONTRADICTS),
+    ("person", "a person crosses 0.8 m ahead", _PERSON, _SEEN),
+    ("animal", "a dog crosses 0.8 m ahead", _ANIMAL, _SEEN),
+)
+
+
+def _cases(course: str) -> tuple[Case, ...]:
+    passing = tuple(
+        Case(
+            f"camera-{name}-{course}",
+            f"on {course}, for {_FOR_S:g} s: {words}",
+            (OnCamera(what, _FOR_S),),
+            Limits(reasons=reasons, place_m=0.10),
+            per_walk=_PER_WALK,
+            watch_s=_WATCH_S,
+            course=course,
+        )
+        for name, words, what, reasons in _FAULTS
+    )
+    lasting = tuple(
+        Case(
+            f"camera-{name}-lasting-{course}",
+            f"on {course}, without end: {words}",
+            (OnCamera(what if isinstance(what, str) else _PACING, FOR_GOOD_S),),
+            Limits(reasons=reasons, stands=True, place_m=0.10),
+            per_walk=_PER_WALK,
+            watch_s=0.0,
+            course=course,
+        )
+        for name, words, what, reasons in _FAULTS
+        if name != "animal"
+    )
+    return (*passing, *lasting)
+
+
+CAMERA_CASES = tuple(case for course in COURSES for case in _cases(course))
+BY_NAME = {case.name: case for case in (*CASES, *LIVE_CASES, *CAMERA_CASES)}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.faults.bus_log import Goals, Outside, Recorder, Switch
 from benchmarks.faults.cases import Case
-from benchmarks.faults.timeline import STALE_S, Timeline, Truth, Word
+from benchmarks.faults.timeline import STALE_S, Status, Timeline, Truth, Word
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import ServiceFailedError
@@ -68,12 +68,16 @@ class Observed:
     voltage: float = np.nan
     lost_s: float = np.nan
     stuck: str = ""
+    statuses: tuple[Status, ...] = ()
+    place_m: float = np.nan
+    ended: str = ""
 
 
 class FaultRun(ABC):
     """A monitored walk: received messages, and waiting for the robot to walk."""
 
     start_s: float  # timeout [s] for the start of a walk
+    phases_s = PHASES_S
 
     def __init__(self, case: Case):
         """Start without messages; `case` is the fault to inject."""
@@ -114,7 +118,7 @@ class FaultRun(ABC):
         """
         rng = np.random.default_rng([crc32(self._case.name.encode()), number])
         steady_s = 0.0 if self._case.ends_the_walk else STEADY_S  # a fault in a copy has not affected this walk
-        self.walk_for(steady_s + PHASES_S * rng.random())
+        self.walk_for(steady_s + self.phases_s * rng.random())
         return self.what_happens(rng)
 
     def what_happens(self, rng: np.random.Generator) -> Timeline:
@@ -143,6 +147,9 @@ class FaultRun(ABC):
             voltage=seen.voltage,
             lost_s=seen.lost_s,
             stuck=seen.stuck,
+            statuses=seen.statuses,
+            place_m=seen.place_m,
+            ended=seen.ended,
         )
 
     @abstractmethod

@@ -38,6 +38,7 @@ class FaultWalk(FaultRun):
     """A walk in lockstep, its recorded messages, and its faults."""
 
     start_s = 20.0
+    scenario = SCENARIO
 
     def __init__(self, case: Case, seed: int):
         """Assemble the walk.
@@ -57,7 +58,9 @@ class FaultWalk(FaultRun):
         self._latch = Latch.of_port(stop_port)
         self._latch.open()
         around = {"planner": self._meddler.around}
-        self._run = LockstepRun(SCENARIO, seed, self.profile, self._hear, every_frame=False, around=around, stop_port=stop_port)
+        self._run = LockstepRun(
+            self.scenario, seed, self.profile, self._hear, every_frame=False, around=around, stop_port=stop_port
+        )
         simulator = self._run.service("simulator")
         assert isinstance(simulator, Simulator)
         self._simulator = simulator

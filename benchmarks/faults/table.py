@@ -1,8 +1,9 @@
 """Compare many injections with the limits: numbers in, a table out."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from math import ceil, isfinite, isinf, nan
 from typing import Any
 
@@ -52,6 +53,8 @@ class Row:
     goal_dps: Figure = Figure(0, nan, nan, nan)
     walked: int = 0  # minimum number of executed fuzzed plans
     commits: tuple[str, ...] = ()  # commits of the program, in alphabetical order
+    place_m: Figure = Figure(0, nan, nan, nan)
+    ended: dict[str, int] = field(default_factory=dict)  # how the injections on a course ended, and how often
 
     @property
     def passed(self) -> bool:
@@ -99,6 +102,8 @@ def row(case: Case, outcomes: Sequence[Outcome], commits: tuple[str, ...] = ()) 
         goal_dps=of("goal_dps"),
         walked=sum(one.walked for one in outcomes),
         commits=commits,
+        place_m=of("place_m"),
+        ended=dict(sorted(Counter(one.ended for one in outcomes if one.ended).items())),
     )
 
 
@@ -145,6 +150,10 @@ def _laws(case: Case) -> Iterable[tuple[str, Callable[[Outcome], bool]]]:
     if case.lets_go:
         yield "off stays off", lambda one: not one.on_again
         yield "off before any goal", lambda one: one.goals_before_off == 0
+    if case.course:
+        ends = ("walks", "arrived", "stands") if limits.stands else ("walks", "arrived")
+        yield f"ends {' or '.join(ends)}", lambda one: one.ended in ends
+        yield "stands with the reason", lambda one: not one.unnamed
     yield "no fall", lambda one: one.falls == 0
     yield "no goal outside of the limits", lambda one: one.outside == 0
 
@@ -162,6 +171,7 @@ _AT_MOST = (  # name, rounding allowed, words, unit, factor
     ("off_s", 1e-6, "torque off within", "ms", 1e3),
     ("cycle_s", 1e-6, "cycle p99 at most", "ms", 1e3),
     ("goal_dps", 1e-6, "goal speed at most", "deg/s", 1.0),
+    ("place_m", 1e-6, "place error at most", "mm", 1e3),
     ("lost_s", 1e-6, "lost recording time at most", "s", 1.0),
 )
 
@@ -207,6 +217,9 @@ def _others(one: Row) -> Iterable[str]:
         yield f"cycle p99 {_cell(one.cycle_s, 1e3, '.1f')} ms"
     if one.lost_s.n:
         yield f"the recording lacks {_cell(one.lost_s, 1.0, '.1f')} s"
+    if one.ended:
+        yield f"ended: {', '.join(f'{how} {count}' for how, count in one.ended.items())}"
+        yield f"place {_cell(one.place_m, 1e3, '.0f')} mm"
     if one.plans:
         fast = f", as fast as {one.goal_dps.worst:.0f} deg/s" if one.goal_dps.n else ""
         yield f"{one.plans} plans, {f'{one.walked} walked, ' if one.walked else ''}{one.outside} goals outside{fast}"
@@ -234,7 +247,7 @@ def from_json(text: str) -> list[Row]:
 
 def _row(entry: dict[str, Any]) -> Row:
     known = [f.name for f in fields(Row) if f.name in entry]  # old rows lack newer quantities
-    figures = {name: Figure(**_numbers(entry[name])) for name in known if isinstance(entry[name], dict)}
+    figures = {name: Figure(**_numbers(entry[name])) for name in known if isinstance(entry[name], dict) and name != "ended"}
     values = {name: entry[name] for name in known if name not in figures}
     return Row(**values | figures | {name: tuple(values.get(name, ())) for name in ("missed", "commits")})
 

@@ -21,6 +21,14 @@ class Word(NamedTuple):
     reason: str
 
 
+class Status(NamedTuple):
+    """A planner's state, its reason, and the time."""
+
+    t_s: float
+    state: str
+    reason: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
     """Ground truth of the robot, one row per sample."""
@@ -55,3 +63,6 @@ class Timeline:
     voltage: float = np.nan  # [V] at the end
     lost_s: float = np.nan  # duration missing at the end of a recording, before its recorder was killed
     stuck: str = ""  # why it did not walk on afterwards, or empty
+    statuses: tuple[Status, ...] = ()  # of the planner, on a course
+    place_m: float = np.nan  # [m] change of the error of the estimated position, on a course
+    ended: str = ""  # "walks", "arrived", "stands" or "fell", on a course

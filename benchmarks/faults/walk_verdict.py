@@ -4,6 +4,8 @@ A time is NaN if its event did not happen.
 """
 
 import re
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, inf, nan
@@ -15,6 +17,7 @@ from benchmarks.faults.cases import Case
 from benchmarks.faults.timeline import STALE_S, Timeline, Truth, Word
 from sextant.evaluation.metrics.walk_metrics import Flags, debounced, stability_margin
 from sextant.evaluation.scoring.scorer import FALL_TILT_DEG
+from sextant.evaluation.trace.status_log import kind_of
 from sextant.services.actuator.safety.health_monitor import LATE
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -34,6 +37,7 @@ _TWICE_S = 0.002  # [s] goals within this time belong to one cycle: they are sen
 _MISSED_S = LATE * _CYCLE_S  # [s] a longer cycle counts as missed
 _CLEARANCE = 0.005  # [m] a lower body underside is a fall, unless the robot was to lie down
 _NOT_AS_PLANNED = re.compile("^(?!walking$)")  # reasons of a robot that walks, but stops or is about to
+_STOOD_S = 1.0  # [s] of standing that has a reason
 _DOWN = (Mode.OFF, Mode.SIT, Mode.READY)
 
 
@@ -66,6 +70,10 @@ class Outcome:
     goal_dps: float = nan  # [deg/s] of the fastest goal from one cycle to the next during the fault
     walked: int = 0  # minimum number of executed fuzzed plans
     misheard: bool = False  # whether a servo switched torque without a command: some corrupted bytes pass the checksum
+    place_m: float = nan  # change of the error of the estimated position, on a course
+    ended: str = ""  # "walks", "arrived", "stands" or "fell", on a course
+    stood: tuple[str, ...] = ()  # reasons with which it stood for more than a second, on a course
+    unnamed: str = ""  # the first of them that does not name the fault
 
 
 def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
@@ -83,6 +91,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     seated = next((w.t_s for w in since if w.mode is Mode.OFF), nan)
     switches = [s.heard for s in line.switches if s.register == dxl.TORQUE_ENABLE and s.t_s > line.begin_s]
     cycle_s, missed = cycles(line)
+    stood = tuple(_stood(line))
     return Outcome(
         decided_s=decided - line.begin_s,
         named=any(_names(pattern, w) for w in since),
@@ -109,7 +118,26 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         cycle_s=cycle_s,
         missed=missed,
         misheard=bool(switches) and all(switches),
+        place_m=line.place_m,
+        ended=line.ended,
+        stood=stood,
+        unnamed=next((words for words in stood if not re.search(case.limits.reasons, words)), ""),
     )
+
+
+def _stood(line: Timeline) -> Iterator[str]:
+    """Yield the planner's longest-lasting reason of each time that the robot stood for long, unless it had arrived."""
+    since = nan
+    for before, word in pairwise((*line.words, *line.words[-1:])):
+        stands = before.mode is not Mode.WALK
+        since = before.t_s if stands and np.isnan(since) else since if stands else nan
+        over = word.mode is Mode.WALK or word is before
+        if stands and over and word.t_s - since >= _STOOD_S:
+            said = [s.reason for s in line.statuses if since <= s.t_s <= word.t_s and s.state in ("waiting", "blocked")]
+            kinds = Counter(map(kind_of, said))
+            if said or line.ended != "arrived":
+                longest = max(kinds, key=kinds.__getitem__, default="")
+                yield next((reason for reason in reversed(said) if kind_of(reason) == longest), "nothing was said")
 
 
 def _names(pattern: re.Pattern[str] | None, word: Word) -> bool:

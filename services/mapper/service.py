@@ -21,7 +21,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import BodyPose, Message, PassageMap, Scan, ScanReceipt, TerrainMap
+from sextant.shared.wire.messages import ActuatorState, BodyPose, Message, PassageMap, Scan, ScanReceipt, TerrainMap
 
 _SLACK_NS = 10_000_000  # [ns] jitter allowed between scans
 _NEAR_RATIO = 1.2  # [1] multiple of the camera's minimum range, up to which a ray without a return carries no information
@@ -82,10 +82,10 @@ class Mapper:
 
         A map is due after `publish_every` scans, or after their usual duration where the link drops scans.
         """
-        yield ScanReceipt(scan.stamp_ns)
+        yield ScanReceipt(scan.stamp_ns, self._refused)
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
-        self._refused = self._admission.rejection_reason(scan, pose, centre) or self._fuse(scan, centre)
+        self._refused = self._admission.rejection_reason(scan, pose, centre) or self._fuse(scan, centre, pose, legs)
         if self._refused:
             return  # an old map must not be published as a new one
         if pose is not None and legs is not None:
@@ -104,8 +104,8 @@ class Mapper:
             yield self._terrain(scan.stamp_ns, pose)
         yield from self._map_passage(scan, pose, inbox)
 
-    def _fuse(self, scan: Scan, centre: Array) -> str:
-        """Fuse a scan around the body (3,) [m] {world}; return why it is invalid, or ""."""
+    def _fuse(self, scan: Scan, centre: Array, pose: BodyPose | None, legs: ActuatorState | None) -> str:
+        """Fuse a scan around the body (3,) [m] {world}; return why it is refused, or ""."""
         with self.stages("fuse"):
             try:
                 validated = ValidatedScan.of_millimetres(
@@ -121,9 +121,18 @@ class Mapper:
             except ValueError as error:
                 return str(error)
             self._grid.move_to(centre[:2])
-            self._grid.fuse(validated)
+            ground = None
+            if pose is not None and legs is not None:
+                ground = self._feet.confirmed_ground(self._grid, scan.stamp_ns, pose, legs)
+            off = self._grid.fuse(validated, ground).contradiction
         self._admission.accept(scan.stamp_ns)
-        return ""
+        if off == 0.0:
+            return ""
+        where = "below" if off < 0.0 else "above"
+        return (
+            f"the camera shows the ground {abs(off) * 1e2:.0f} cm {where} the map, on which the feet stand: "
+            "check its intrinsics and mount, and that nothing stands before it"
+        )
 
     def _reset_map(self, centre: Array) -> None:
         """Reset the map; it is rebuilt from the next scans and the feet."""

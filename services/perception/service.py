@@ -25,6 +25,7 @@ from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Messa
 
 _PREVIEW_NS = 180_000_000  # [ns] minimum time between two previews
 _MAX_BLIND_TRAVEL_M = 0.6  # [m] largest distance walked over mapped ground while nothing is in the camera's range
+_CLOCK_S = 0.2  # [s] age up to which the newest odometry gives the robot's clock
 _MAX_FRAME_AGE_S = 0.3  # [s] largest age of a frame, because the planner does not use an older pose
 
 
@@ -94,11 +95,16 @@ class Perception:
 
     def _pose_and_scan(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
         """Register a frame, and yield its pose and its scan."""
-        if self._check.is_late(image.stamp_ns):
+        newest_ns = self._odometry.newest_ns
+        clock_ns = newest_ns if inbox.fresh(topics.ODOMETRY, _CLOCK_S) is not None else None
+        wrong = self._check.stamp_fault(image.stamp_ns, clock_ns)
+        if wrong and newest_ns is not None:
+            image = replace(image, stamp_ns=newest_ns)  # the pose is that of odometry
+        elif self._check.is_late(image.stamp_ns):
             self._words = "the camera's frames arrive out of order; late frames are skipped"
             return
         motion = self._odometry.motion_at(image.stamp_ns)
-        fault = self._check.fault(image, motion)
+        fault = wrong or self._check.fault(image, motion) or self._tracker.distrusted(image.stamp_ns)
         if motion is None:
             self._words = "waiting for odometry from the actuator"
             return
@@ -120,9 +126,16 @@ class Perception:
         prior, covariance = tracker.predict(motion, self._odometry.restarts)
         with self.stages("registration"):
             found = self._registration.register(image, fault, motion, prior, covariance)
+            T_world_body = self._registration.T_world_body(found)
             if self._registration.is_overturned(found, motion):
-                found = self._registration.restart(found, motion)
+                why = "the pose shows the body on its side, but it stands on its legs"
+                found = self._registration.restart(found, T_world_body, motion, why)
                 tracker.restart_tilt()
+            elif self._settings.legs and found.ok and motion.reliable:
+                why = tracker.contradiction(image.stamp_ns, T_world_body, motion)
+                if why:
+                    tracker.distrust(image.stamp_ns, why)
+                    found = self._registration.restart(found, tracker.T_world_odom @ motion.T_odom_body, motion, why)
         tracker.correct(image.stamp_ns, self._registration.T_world_body(found), motion, found.ok)
         return found
 

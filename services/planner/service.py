@@ -21,7 +21,7 @@ from sextant.services.planner.terrain import Terrain, plane_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import ActuatorState, Goal, Message, Mode, PlannerStatus, VelocityCommand
+from sextant.shared.wire.messages import ActuatorState, BodyPose, Goal, Message, Mode, PlannerStatus, VelocityCommand
 
 _CAPTURE_TO_PLAN = "capture to plan"  # stage: from a depth image to the actuator state that executes a plan by its map
 _STATUS_PERIOD_NS = 100_000_000
@@ -41,6 +41,7 @@ class Planner:
         topics.VELOCITY,
         topics.GOAL,
         topics.CAMERA_STATE,
+        topics.SCAN_RECEIPT,
         topics.PASSAGE,
     )
     publishes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS, topics.PASSAGE_REQUEST, topics.PASSAGE_PLAN)
@@ -143,7 +144,10 @@ class Planner:
         wanted = goal if command is None else command
         if wanted is None:
             return Decision("resting", request.untimely_reason or "no fresh velocity command and no goal")
-        return self._walk(wanted, RobotEstimate(state, pose), inbox)
+        decision = self._walk(wanted, RobotEstimate(state, pose), inbox)
+        if decision is None or decision.state != "blocked":
+            return decision
+        return replace(decision, reason=decision.reason + _sight_fault(pose, inbox))
 
     def _walk(self, request: VelocityCommand | Goal, robot: RobotEstimate, inbox: Inbox) -> Decision | None:
         """Return the next step by sight, a revision of the running one, or None."""
@@ -156,8 +160,7 @@ class Planner:
         if isinstance(request, Goal) and self._goals.is_crossing(request):
             return self._goals.continue_crossing(request, robot, terrain, inbox.latest(topics.PASSAGE))
         if terrain is None:
-            cause = f"; perception reports: {robot.pose.reason}" if not robot.pose.ok else _camera_fault(inbox)
-            return Decision("waiting", f"no fresh terrain map{cause}")  # never walk blind
+            return Decision("waiting", f"no fresh terrain map{_sight_fault(robot.pose, inbox)}")  # never walk blind
         if robot.state.phase < self._settings.revision.retarget_until_phase:
             revised = self._steps.retarget(robot, terrain)
             return None if revised is None else replace(self._decision, step=revised)
@@ -193,6 +196,16 @@ class Planner:
             invalid_command=self._decision.invalid_command,
             path=self._goals.path if self._has_goal else np.zeros((0, 2)),
         )
+
+
+def _sight_fault(pose: BodyPose, inbox: Inbox) -> str:
+    """Return the reason of perception, mapper or camera for a map that is old or lacks ground, else ""."""
+    if not pose.ok:
+        return f"; perception reports: {pose.reason}"
+    receipt = inbox.fresh(topics.SCAN_RECEIPT)
+    if receipt is not None and receipt.refused:
+        return f"; the mapper refuses scans: {receipt.refused}"
+    return _camera_fault(inbox)
 
 
 def _camera_fault(inbox: Inbox) -> str:

@@ -34,7 +34,8 @@ from sextant.shared.runtime.clock import in_use
 from sextant.shared.runtime.lateness import BEAT
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.simulated_time import SimulatedTime
-from sextant.shared.scenario.scenario import Scenario, load_scenario
+from sextant.shared.scenario.mover import Mover
+from sextant.shared.scenario.scenario import Fault, Scenario, load_scenario
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.wire import topics
@@ -189,6 +190,14 @@ class Simulator:
         with self._locked():
             self.bus.inject(fault, self._now_ns())
 
+    def disturb(self, by: Fault | Mover) -> None:
+        """Add a fault of the camera, or something that moves in its view, from its simulated time on.
+
+        Raises:
+            ValueError: It is a fault of a process.
+        """
+        self._camera.disturb(by)
+
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Advance the physics to the time of the tick, and yield due sensor messages."""
         if self._time is not None:
@@ -253,11 +262,11 @@ class Simulator:
         if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz) and camera.begin_frame():
             depth = camera.depth()
             if depth is not None:
-                stamp_ns = self._stamps.stamp(now_ns)
-                self._stamps.hold(DepthImage(stamp_ns, depth))
+                stamp_ns, due_ns = camera.delivery(self._stamps.stamp(now_ns))
+                self._stamps.hold(DepthImage(stamp_ns, depth), due_ns)
                 # Colour is rendered at the time of a depth frame, so that their pixels correspond.
                 if camera.has_color and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
-                    self._stamps.hold(ColorImage(stamp_ns, camera.color()))
+                    self._stamps.hold(ColorImage(stamp_ns, camera.color()), due_ns)
         yield from self._stamps.release(now_ns)
         if self._due(topics.CAMERA_STATE, now_ns):
             absent = "unplugged by the scenario" if camera.fault == "absent" else ""

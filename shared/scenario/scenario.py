@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -624,14 +624,20 @@ class MapOptions:
         return max(self.resolution, 0.005)
 
 
+CameraFaultKind = Literal[
+    "absent", "frozen", "stale", "blind", "noise", "sun", "dark", "wet", "dropouts", "blobs", "dirt", "swapped", "zoomed",
+    "late", "ahead", "backward", "jumping",
+]  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """Fault of a service or of the simulated camera at a given time."""
 
     at_s: float  # [s] simulated
     service: Literal["perception", "mapper", "planner", "actuator", "camera"]  # process or device that fails
-    # The simulated camera is absent (unplugged), repeats one image (frozen), sees nothing in range (blind), or sends noise.
-    kind: Literal["kill", "hang", "absent", "frozen", "blind", "noise"] = "kill"
+    # How it fails; "kill" and "hang" are for processes, and the table of the camera's kinds is in docs/simulation.md.
+    kind: Literal["kill", "hang", CameraFaultKind] = "kill"
     # [s] duration. A live run restarts a killed process itself, and also one that hangs for too long.
     for_s: float = 2.0
     at_spread_s: float = 0.0  # [s] maximum random delay, added to at_s
@@ -642,7 +648,7 @@ class Fault:
         _expect(self.at_s >= 0, "a time of at least 0 s", self.at_s)
         _expect(self.at_spread_s >= 0, "an at_spread_s of at least 0 s", self.at_spread_s)
         _expect(self.for_s > 0, "an outage longer than 0 s", self.for_s)
-        kinds = ("absent", "frozen", "blind", "noise") if self.of_camera else ("kill", "hang")
+        kinds = get_args(CameraFaultKind) if self.of_camera else ("kill", "hang")
         _expect(self.kind in kinds, f"one of {', '.join(kinds)} for service = {self.service!r}", repr(self.kind))
 
     @property

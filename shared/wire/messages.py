@@ -275,10 +275,12 @@ class Scan(Message):
 
 @dataclass(frozen=True, slots=True)
 class ScanReceipt(Message):
-    """Receipt for the scan with this stamp; mapper -> perception.
+    """Receipt for the scan with this stamp; mapper -> perception, planner.
 
     Perception limits its rate by these receipts.
     """
+
+    refused: str = ""  # why the scan before this one was not mapped, or empty
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ it fits the newest pose, which its readers use.
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,11 @@ from sextant.services.mapper.elevation.validated_scan import MAX_COORDINATE_M, V
 from sextant.services.mapper.elevation.vertical_surfaces import limit_surface_updates
 from sextant.shared.runtime.compiled import as_plain, compiled
 
+# A scan contradicts the map if it is this far [m] from this share of the well-known cells, of which there are this many.
+_CONTRADICTS_M, _CONTRADICTED_SHARE, _MIN_KNOWN = 0.05, 0.6, 300
+
+_REFLECTED_M = 0.25  # [m] below the feet, from which the end of a ray may be seen by reflection
+
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -49,6 +54,7 @@ class FusionCount:
     replaced: int  # cells whose rival became the height
     outside: int  # points outside the window
     cleared: int = 0  # cells that rays made unseen again
+    contradiction: float = 0.0  # [m] median height of a scan over the map that it contradicts, which was not fused; else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +161,12 @@ class ElevationGrid:
                 self._cells.forget(axis, first % n[axis], leaving)
         self._low = np.array(low, dtype=np.int64)
 
-    def fuse(self, scan: ValidatedScan) -> FusionCount:
+    def fuse(self, scan: ValidatedScan, ground: float | None = None) -> FusionCount:
         """Fuse a reduced scan; each cell counts at most once per scan.
+
+        `ground` is the height [m] {world} of the lowest foot, if the feet stand on the ground of the map. A scan that
+        contradicts most of the well-known ground is then not fused; things that move or sink contradict only a part. Rays
+        that end well below the feet then clear nothing: they may be reflected by a wet floor.
 
         1. Compute the variance of each point from the sensor model and from the pose covariance and the map's slope. The part
            that does not average out is the floor of a cell's variance.
@@ -178,6 +188,9 @@ class ElevationGrid:
         # 2. One measurement for each cell, without the height drift of the pose.
         merged = merge(touched, z, random, systematic, self._slot, self.model.gate, self.model.step_in(self.resolution))
         touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
+        contradiction = self._contradiction(touched, z) if ground is not None else 0.0
+        if contradiction != 0.0:
+            return FusionCount(0, 0, 0, len(scan.points) - inside, contradiction=contradiction)
         if inside:
             self._drift.follow(cells, touched, z, ray, scan.pose_covariance)
             z -= self._drift.value
@@ -191,10 +204,25 @@ class ElevationGrid:
         updated, disputed, replaced = update_cells(as_plain(measured), self._filter_cells, self._filter_rules)
         # 4. Clear cells along rays.
         at = (cells, self._low, self.resolution, self._drift.value, scan)
-        self._ray_clearing.count_along_rays(*at, scan.points, every=self._clearing.every)
-        self._ray_clearing.count_along_rays(*at, scan.sights, nearest=scan.nearest)
+        points, sights = (_not_below(ground, scan, ends) for ends in (scan.points, scan.sights))
+        self._ray_clearing.count_along_rays(*at, points, every=self._clearing.every)
+        self._ray_clearing.count_along_rays(*at, sights, nearest=scan.nearest)
         cleared = self._ray_clearing.end_scan(cells)
         return FusionCount(updated, disputed + silent, replaced, len(scan.points) - inside, cleared)
+
+    def _contradiction(self, touched: NDArray[np.int64], z: NDArray[np.float64]) -> float:
+        """Return the median height [m] of a scan over the well-known ground if it contradicts most of it, else 0.
+
+        Args:
+            touched: (m,) flat indices of the measured cells.
+            z: (m,) [m] {world} their measured heights.
+        """
+        first = self._cells.first.ravel()[touched]
+        off = z - self._drift.value - first
+        off = off[np.isfinite(off)]
+        if len(off) < _MIN_KNOWN or np.count_nonzero(np.abs(off) > _CONTRADICTS_M) <= _CONTRADICTED_SHARE * len(off):
+            return 0.0
+        return float(np.median(off)) or _CONTRADICTS_M
 
     def touch(self, p_world: ArrayLike, sigma: float, radius: float) -> int:
         """Correct the cells under a foot's sole and return how many changed.
@@ -302,6 +330,14 @@ class ElevationGrid:
         out[:m, :n], out[:m, n:] = layer[i:, j:], layer[i:, :j]
         out[m:, :n], out[m:, n:] = layer[:i, j:], layer[:i, :j]
         return out
+
+
+def _not_below(ground: float | None, scan: ValidatedScan, ends: NDArray[Any]) -> NDArray[Any]:
+    """Return the ends of rays (n, 3), in the scan's unit from its origin, without those well below the ground [m]."""
+    if ground is None or not len(ends):
+        return ends
+    least = (ground - _REFLECTED_M - float(scan.origin[2])) / scan.unit
+    return ends if ends[:, 2].min() >= least else ends[ends[:, 2] >= least]
 
 
 def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:

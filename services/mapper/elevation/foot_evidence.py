@@ -13,6 +13,8 @@ _FARTHEST_FOOT_M = 1.0  # [m] from the body
 _MIN_LOADED_FEET = 5  # minimum number of feet that carry load before the first step
 _CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m], [ns] height error and its duration from which feet refute the map
 _SOLE_RADIUS_M, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
+# Feet that must stand on the map, their median height error [m], and the time [ns] for which this counts.
+_MIN_CONFIRMING, _CONFIRMED_M, _CONFIRMED_NS = 3, 0.02, 2_000_000_000
 _TOUCH_SIGMA_M = 0.005  # [m] of a height measured by a foot: joint errors and the spherical shape of the foot
 _LEVEL_M = 0.01  # [m] largest height range of the map around a foot that shows the difference of its leg
 
@@ -34,6 +36,7 @@ class FootEvidence:
         self._sole = np.stack(np.meshgrid(around, around), axis=-1)  # (3, 3, 2) [m] of the cells under a foot
         self._offsets = np.arange(-_SOLE_RADIUS_M, _SOLE_RADIUS_M + 1e-9, resolution)  # [m] of the cells around a foot
         self._touch_ns = np.full(6, -1, dtype=np.int64)  # stamps of the newest touchdowns in the map
+        self._ground: tuple[int, float] | None = None  # stamp [ns] and height [m] of the ground that the feet confirm
         self._refuted_ns = -1  # stamp of the first scan that the feet refuted without interruption, or -1
 
     def apply_touchdowns(self, grid: ElevationGrid, pose: BodyPose, legs: ActuatorState) -> None:
@@ -48,6 +51,21 @@ class FootEvidence:
                 self.leg_heights.update(leg, float(p[2]), float(seen.mean()))
             p[2] -= self.leg_heights.differences[leg]
             grid.touch(p, _TOUCH_SIGMA_M, self._foot_radius_m)
+
+    def confirmed_ground(self, grid: ElevationGrid, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> float | None:
+        """Return the height [m] {world} of the lowest loaded foot's ground, None if the feet do not stand on the map.
+
+        A step, in which few feet carry load, does not change it.
+        """
+        feet = apply(pose.T_world_body, legs.feet)[legs.contact & ~legs.swing] - [0.0, 0.0, self._foot_radius_m]
+        off = np.abs(grid.heights(feet[:, :2]) - feet[:, 2])
+        known = off[np.isfinite(off)]
+        if len(known) >= _MIN_CONFIRMING:
+            confirmed = float(np.median(known)) < _CONFIRMED_M
+            self._ground = (stamp_ns, float(feet[:, 2].min())) if confirmed else None
+        if self._ground is None or not 0 <= stamp_ns - self._ground[0] <= _CONFIRMED_NS:
+            return None
+        return self._ground[1]
 
     def is_refuted(self, grid: ElevationGrid, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> bool:
         """Return whether stance feet have refuted the map for `_CONTRADICTED_NS`.

@@ -8,6 +8,8 @@ from sextant.services.perception.registration.motion_prior import Motion
 from sextant.shared.wire.messages import DepthImage
 
 OUT_OF_ORDER_NS = 1_000_000_000  # [ns] a frame older than the newest by less than this is late; by more, the clock has changed
+_LATE_FRAMES = 3  # consecutive late frames from which the stamps are wrong, and not the order of the messages
+_AHEAD_NS, _OLD_NS = 500_000_000, 1_500_000_000  # [ns] from the robot's clock; odometry is kept for 2 s
 _SPACING_PX = 8  # [px] row and column spacing of the pixels compared to detect a frozen image
 _MOVED = 0.01  # [m] or [rad] body motion after which two identical images show a frozen camera
 
@@ -19,6 +21,7 @@ class FrameCheck:
         """Start without frames; `size` is the expected (rows, columns)."""
         self._size = size
         self._newest_ns = -OUT_OF_ORDER_NS  # stamp of the newest frame
+        self._late = 0  # consecutive late frames
         self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # pixel sample, first stamp, and motion then
 
     def has_expected_size(self, image: DepthImage) -> bool:
@@ -28,9 +31,27 @@ class FrameCheck:
     def is_late(self, stamp_ns: int) -> bool:
         """Return whether a newer frame has come before; call once per frame."""
         if 0 <= self._newest_ns - stamp_ns < OUT_OF_ORDER_NS:  # an older stamp is from another clock
+            self._late += 1
             return True
-        self._newest_ns = stamp_ns
+        self._newest_ns, self._late = stamp_ns, 0
         return False
+
+    def stamp_fault(self, stamp_ns: int, clock_ns: int | None) -> str:
+        """Return why a stamp is wrong, or an empty string; call it for each frame, before `is_late`.
+
+        Args:
+            stamp_ns: [ns] stamp of the frame.
+            clock_ns: [ns] time by the robot's clock, None if unknown.
+        """
+        if clock_ns is not None and stamp_ns > clock_ns + _AHEAD_NS:
+            return f"the camera stamps its images {(stamp_ns - clock_ns) * 1e-9:.1f} s in the future"
+        if clock_ns is not None and stamp_ns < clock_ns - _OLD_NS:
+            return f"the camera's images are {(clock_ns - stamp_ns) * 1e-9:.1f} s old by their stamps"
+        before_s = (self._newest_ns - stamp_ns) * 1e-9
+        same_clock = before_s < OUT_OF_ORDER_NS * 1e-9 or (clock_ns is not None and self._newest_ns <= clock_ns + _AHEAD_NS)
+        if self._late >= _LATE_FRAMES and before_s >= 0.0 and same_clock:
+            return f"the camera's stamps do not rise: the newest image is stamped {before_s:.1f} s before an earlier one"
+        return ""
 
     def fault(self, image: DepthImage, motion: Motion | None) -> str:
         """Return why a frame is useless, or an empty string; call once per frame.

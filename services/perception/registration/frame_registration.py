@@ -70,14 +70,20 @@ class FrameRegistration:
         upright = self.T_world_body(found)[2, 2] > np.cos(_MAX_TILT_RAD)
         return bool(carried and not upright)
 
-    def restart(self, found: RegistrationResult, motion: Motion) -> RegistrationResult:
-        """Start a new map with the tilt and height of leg odometry; return the frame's result."""
-        T = self.T_world_body(found)
+    def restart(self, found: RegistrationResult, T: Array, motion: Motion, why: str) -> RegistrationResult:
+        """Start a new map with the tilt and height of leg odometry; return the frame's result.
+
+        Args:
+            found: The result that is wrong.
+            T: (4, 4) body pose {world} that gives place and heading.
+            motion: Motion of the body at the frame.
+            why: What is wrong, as text.
+        """
         R = rotation_from_rpy([0.0, 0.0, yaw_of(T)])
         p = T[:3, 3] - R @ motion.T_odom_body[:3, 3]
         T_world_body = transform(R, [p[0], p[1], 0.0]) @ motion.T_odom_body
         self._method = _make_method(self._profile, self._settings)
-        reason = "the pose shows the body on its side, but it stands on its legs: the registration restarts"
+        reason = f"{why}: the registration restarts"
         return refused_result(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
 
 

@@ -36,6 +36,11 @@ class OdometryHistory:
         self.restarts = 0  # number of times the odometry started again
         self._messages: list[Odometry] = []
 
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp [ns] of the newest message, None without one."""
+        return self._messages[-1].stamp_ns if self._messages else None
+
     def add(self, message: Odometry) -> None:
         """Add a message, and restart the history if it does not continue the previous one.
 

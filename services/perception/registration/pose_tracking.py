@@ -9,6 +9,9 @@ from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.motion_prior import Motion
 from sextant.shared.geometry import Array, inverse, orthonormal, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
 
+_MAX_TILT_RAD, _MAX_LIFT_M = 0.05, 0.03  # of the body against its feet while a pose is doubted
+_LOST_NS = 2_000_000_000  # [ns] without a registered frame, after which poses are doubted for as long
+_LONGEST_NS = 16_000_000_000  # [ns] longest time for which images are refused
 _MAX_SIGMA_M, _MAX_SIGMA_RAD = 10.0, 3.0  # [m] [rad] upper bounds of the predicted standard deviation
 
 
@@ -23,6 +26,10 @@ class PoseTracker:
         self.last_registered: Motion | None = None  # motion at the last registered frame, None before the first one
         self._odometry_restarts = 0
         self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, averaged
+        self._registered_ns = -1  # stamp of the last registered frame, -1 before the first one
+        self._trusted_T: Array | None = None  # T_world_odom before the doubt, None without one
+        self._doubted_until_ns = -1  # [ns] end of the doubt
+        self._refused_until_ns, self._refuse_ns, self._why = -1, _LOST_NS, ""  # [ns] of images; the next duration; the reason
         self._tilt_ns = -1  # of the newest tilt, -1 before the first one
 
     def predict(self, motion: Motion, odometry_restarts: int) -> tuple[Array, Array]:
@@ -41,6 +48,7 @@ class PoseTracker:
             if self.last_registered is not None:
                 self.T_world_odom = self.T_world_body @ inverse(motion.T_odom_body)
                 self.last_registered = motion
+                self._trusted_T = None
                 self.restart_tilt()  # because {odom} is new
         last = self.last_registered or motion
         way = settings.odometry_drift * max(0.0, motion.travelled - last.travelled) + settings.odometry_floor
@@ -68,6 +76,41 @@ class PoseTracker:
         self._average_tilt(stamp_ns)
         if registered:
             self.last_registered = motion
+            self._registered_ns = stamp_ns
+
+    def contradiction(self, stamp_ns: int, T_world_body: Array, motion: Motion) -> str:
+        """Return how a pose (4, 4) contradicts the feet, or an empty string.
+
+        Poses are doubted for a while after a long time without a registered frame: meanwhile, wrong images may have made a
+        wrong map. At other times the ground may sink under the feet, which odometry does not feel.
+        """
+        if 0 <= self._registered_ns < stamp_ns - _LOST_NS and self._trusted_T is None:
+            self._trusted_T, self._doubted_until_ns = self.T_world_odom, stamp_ns + _LOST_NS
+        if self._trusted_T is None:
+            return ""
+        if stamp_ns >= self._doubted_until_ns:
+            self._trusted_T, self._refuse_ns = None, _LOST_NS
+            return ""
+        moved = inverse(self._trusted_T @ motion.T_odom_body) @ T_world_body
+        tilt = float(np.arccos(np.clip(moved[2, 2], -1.0, 1.0)))
+        if tilt > _MAX_TILT_RAD:
+            return f"images tilt the body by {np.degrees(tilt):.0f} deg against its feet"
+        if abs(moved[2, 3]) > _MAX_LIFT_M:
+            return f"images lift the body by {1e2 * moved[2, 3]:+.0f} cm off its feet"
+        return ""
+
+    def distrust(self, stamp_ns: int, why: str) -> None:
+        """Return to the place before the doubt, and refuse images for a while: longer each time in a row."""
+        assert self._trusted_T is not None
+        self.T_world_odom, self._trusted_T = self._trusted_T, None
+        self._refused_until_ns, self._refuse_ns, self._why = stamp_ns + self._refuse_ns, 2 * self._refuse_ns, why
+        self._refuse_ns = min(self._refuse_ns, _LONGEST_NS)
+        self._registered_ns = min(self._registered_ns, stamp_ns - 1)
+        self.restart_tilt()
+
+    def distrusted(self, stamp_ns: int) -> str:
+        """Return why an image is refused, or an empty string."""
+        return self._why if stamp_ns < self._refused_until_ns else ""
 
     def restart_tilt(self) -> None:
         """Start the average of the tilt of {odom} again."""

@@ -69,6 +69,11 @@ class Movers:
     def __len__(self) -> int:
         return len(self._walks)
 
+    def add(self, mover: Mover) -> None:
+        """Add a moving obstacle, which starts at its simulated time without a random delay."""
+        self._walks.append(_Walk(mover, mover.start_s))
+        self._ways.append(math.nan)
+
     def advance(self, now_s: float, T_world_body: Array) -> None:
         """Move all obstacles to a simulated time [s].
 

@@ -1,20 +1,21 @@
 """Camera on the robot: depth and colour frames of a world, with the camera faults of a scenario."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.simulator.physics.movers import Movers, together
 from sextant.services.simulator.physics.solids import Boxes, Capsules
 from sextant.services.simulator.physics.world import World
+from sextant.services.simulator.sensors import camera_faults
 from sextant.services.simulator.sensors.camera_errors import CameraErrors
+from sextant.services.simulator.sensors.camera_faults import CameraFaults
 from sextant.services.simulator.sensors.color_camera import ColorCamera
 from sextant.services.simulator.sensors.depth_camera import DepthCamera
 from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import Stages
+from sextant.shared.scenario.mover import Mover
 from sextant.shared.scenario.scenario import Fault, Scenario
 
 
@@ -55,7 +56,8 @@ class RobotCamera:
         )
         self._errors = CameraErrors(profile.camera.intrinsics, scenario.deviation(seed))
         self._color_camera = ColorCamera(self._renderer, world.terrain, color_random) if profile.camera.color else None
-        self._faults: Sequence[Fault] = [fault for fault in scenario.faults_at(seed) if fault.of_camera]
+        self._faults = [fault for fault in scenario.faults_at(seed) if fault.of_camera]
+        self._effects: CameraFaults | None = None  # of faults of the picture, from the first of them on
         self._movers = Movers(scenario.movers, world.terrain, movers_random)
         self._stages = stages
         self._frames_per_picture = frames_per_picture
@@ -65,8 +67,33 @@ class RobotCamera:
     @property
     def fault(self) -> str:
         """Kind of the present camera fault, "" without one."""
+        present = self._present()
+        return "" if present is None else present.kind
+
+    def _present(self) -> Fault | None:
         now_s = self._world.time_ns * 1e-9
-        return next((fault.kind for fault in self._faults if fault.at_s <= now_s < fault.at_s + fault.for_s), "")
+        return next((fault for fault in self._faults if fault.at_s <= now_s < fault.at_s + fault.for_s), None)
+
+    def disturb(self, by: Fault | Mover) -> None:
+        """Add a fault of the camera, or something that moves in its view, from its simulated time on.
+
+        Raises:
+            ValueError: It is a fault of a process.
+        """
+        if not isinstance(by, Fault):
+            self._movers.add(by)
+        elif by.of_camera:
+            self._faults.append(by)
+        else:
+            raise ValueError(f"a fault of the camera expected, found one of {by.service}")
+
+    def delivery(self, stamp_ns: int) -> tuple[int, int]:
+        """Return stamp and arrival [ns] of the newest frame, for its stamp without a fault."""
+        present = self._present()
+        if present is None:
+            return stamp_ns, stamp_ns
+        begin_ns = stamp_ns - max(0, self._world.time_ns - round(present.at_s * 1e9))
+        return camera_faults.delivery(present.kind, stamp_ns, begin_ns, self._frames)
 
     @property
     def has_color(self) -> bool:
@@ -94,21 +121,26 @@ class RobotCamera:
         fault = self.fault
         if fault == "absent":
             return None
-        if fault == "frozen" and self._last_depth is not None:
+        if fault in ("frozen", "stale") and self._last_depth is not None:
             return self._last_depth
-        shape = (self._profile.camera.intrinsics.height, self._profile.camera.intrinsics.width)
-        if fault == "blind":
-            return np.zeros(shape, dtype=np.uint16)
-        if fault == "noise":
-            sensor = self._profile.camera.sensor
-            high = min(65535, round(sensor.max_range * sensor.depth_scale))
-            return np.random.default_rng([self._seed, self._world.time_ns]).integers(0, high, shape, dtype=np.uint16)
+        if fault and self._effects is None:
+            self._effects = CameraFaults(self._profile.camera.intrinsics, self._profile.camera.sensor, self._seed)
+        effects = self._effects if fault else None
+        replaced = None if effects is None else effects.replaced(fault, self._world.time_ns)
+        if replaced is not None:
+            return replaced
+        T_world_camera = self._T_world_camera
         with self._stages("render"):
             self._renderer.settle(self._world.sunk)
-            picture = self._renderer.inverse_depth(self._T_world_camera, self._solids())
+            picture = self._renderer.inverse_depth(T_world_camera, self._solids())
+            if effects is not None:
+                picture = effects.scene(fault, picture, T_world_camera)
         with self._stages("depth noise"):
-            self._last_depth = self._depth_camera.measure(self._errors.depth(picture))
-        return self._last_depth
+            depth = self._depth_camera.measure(self._errors.depth(picture))
+            if effects is not None:
+                depth = effects.measured(fault, depth, T_world_camera, self._world.time_ns)
+        self._last_depth = depth
+        return depth
 
     def color(self) -> NDArray[np.uint8]:
         """Return the colour image (h, w, 3) now.

@@ -10,7 +10,7 @@ from sextant.shared.wire.messages import ColorImage, DepthImage
 
 
 class StampErrors:
-    """Stamps the images of one camera, and holds an image back until its stamp has come.
+    """Stamps the images of one camera, and holds an image back until it arrives.
 
     A camera or its driver stamps an image when it arrives, some time after its exposure. With a negative offset, the stamp is
     earlier than the exposure.
@@ -19,7 +19,7 @@ class StampErrors:
     def __init__(self, deviation: Deviation, rng: np.random.Generator):
         """Begin without an image."""
         self._offset_s, self._jitter_s, self._rng = deviation.stamp_offset_s, deviation.stamp_jitter_s, rng
-        self._held: deque[DepthImage | ColorImage] = deque()
+        self._held: deque[tuple[int, DepthImage | ColorImage]] = deque()  # arrival [ns] and image
         self._newest_ns = -1
 
     def stamp(self, exposed_ns: int) -> int:
@@ -28,11 +28,11 @@ class StampErrors:
         self._newest_ns = max(self._newest_ns + 1, exposed_ns + round(late_s * 1e9))
         return self._newest_ns
 
-    def hold(self, image: DepthImage | ColorImage) -> None:
-        """Add an image, in the order of the stamps."""
-        self._held.append(image)
+    def hold(self, image: DepthImage | ColorImage, due_ns: int) -> None:
+        """Add an image that arrives at `due_ns`, in the order of the exposures."""
+        self._held.append((due_ns, image))
 
     def release(self, now_ns: int) -> Iterator[DepthImage | ColorImage]:
-        """Yield the images whose stamp has come."""
-        while self._held and self._held[0].stamp_ns <= now_ns:
-            yield self._held.popleft()
+        """Yield the images that have arrived."""
+        while self._held and self._held[0][0] <= now_ns:
+            yield self._held.popleft()[1]

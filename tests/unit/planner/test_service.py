@@ -27,6 +27,7 @@ from sextant.shared.wire.messages import (
     Message,
     Mode,
     PlannerStatus,
+    ScanReceipt,
     StepPlan,
     TerrainMap,
     VelocityCommand,
@@ -939,3 +940,13 @@ def test_blind_walking_continues_when_no_other_step_is_possible(monkeypatch: pyt
     assert sent, rig.status().reason
     assert sent[-1].stop
     assert rig.status().reason.startswith("walking by touch")
+
+
+@pytest.mark.parametrize("refused", ["", "the camera shows the ground 9 cm below the map"])
+def test_missing_map_names_refusal_of_mapper(refused: str) -> None:
+    rig = Rig()
+    rig.terrain = None  # type: ignore[assignment]
+    rig.plans(60)
+    rig.inbox.receive(topics.SCAN_RECEIPT, codec.encode(ScanReceipt(rig.now_ns, refused)), rig.now_ns)
+    words = f"no fresh terrain map; the mapper refuses scans: {refused}" if refused else "no fresh terrain map"
+    assert rig.status().reason == words

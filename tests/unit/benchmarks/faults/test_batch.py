@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.faults import table as tables
 from benchmarks.faults.batch import FILE, Injection, read, run_faults
-from benchmarks.faults.cases import BY_NAME, CASES, LIVE_CASES
+from benchmarks.faults.cases import BY_NAME, CAMERA_CASES, CASES, LIVE_CASES
 from benchmarks.faults.walk_verdict import score
 from sextant.evaluation import provenance
 from sextant.evaluation.trials import results_store
@@ -124,7 +124,7 @@ def test_fault_table_shows_pass_and_fail_and_round_trips() -> None:
 
 
 def test_case_names_are_unique() -> None:
-    assert len(BY_NAME) == len(CASES) + len(LIVE_CASES)
+    assert len(BY_NAME) == len(CASES) + len(CAMERA_CASES) + len(LIVE_CASES)
     assert all(case.live for case in LIVE_CASES)
     assert not any(case.live for case in CASES)
 
@@ -137,3 +137,22 @@ def test_cpu_load_case_limits_cycle_time_and_missed_cycles() -> None:
     assert not tables.row(hogs, [replace(fine, missed=5)]).passed
     assert tables.row(hogs, [replace(fine, missed=5, decided_s=0.3)]).passed
     assert "cycle p99 24.0 / 24.0 / 24.0 ms" in tables.markdown([tables.row(hogs, [fine])])
+
+
+def test_camera_fault_must_end_on_its_feet_with_its_reason_and_in_its_place() -> None:
+    passing, lasting = BY_NAME["camera-sun-steps"], BY_NAME["camera-sun-lasting-steps"]
+    walks = replace(CALM, ended="walks", place_m=0.01)
+    stands = replace(walks, ended="stands", stood=("only 0.0 % of the image is measured, 2 % needed",))
+    assert tables.row(passing, [walks, replace(walks, ended="arrived")]).passed
+    assert tables.row(lasting, [walks, stands]).passed
+    for case, wrong in (
+        (passing, stands),
+        (lasting, replace(walks, ended="fell")),
+        (lasting, replace(stands, unnamed="no fresh terrain map")),
+        (lasting, replace(stands, place_m=0.11)),
+        (passing, replace(walks, place_m=nan)),
+    ):
+        assert not tables.row(case, [wrong]).passed, wrong
+    made = tables.row(lasting, [walks, stands, stands])
+    assert "ended: stands 2, walks 1; place 10 / 10 / 10 mm" in tables.markdown([made])
+    assert tables.from_json(tables.to_json([made]))[0].ended == {"stands": 2, "walks": 1}

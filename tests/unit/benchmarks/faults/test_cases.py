@@ -4,11 +4,13 @@ The limits are the documented ones, and the robot can keep them for any random d
 """
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
-from benchmarks.faults.cases import BY_NAME, CASES, Limits, Off, OnBus
+from benchmarks.faults.cases import BY_NAME, CAMERA_CASES, CASES, COURSES, Limits, Off, OnBus, OnCamera
+from sextant.shared.scenario.scenario import CameraFaultKind
 
 _KINDS = ("silent", "stuck", "garbage", "wrong", "slow", "intermittent")
 _CYCLE_S, _WINDOW = 0.02, 10  # [s]; [cycles] window of the check for lost answers
@@ -72,3 +74,16 @@ def test_each_fault_has_a_torque_off_case() -> None:
         if case.lets_go:
             assert sum(isinstance(deed, Off) for deed in case.deeds) == 1, case.name
             assert len(case.deeds) == 2, case.name
+
+
+def test_each_camera_fault_is_on_each_course_and_ends_well() -> None:
+    by_course = {course: [case for case in CAMERA_CASES if case.course == course] for course in COURSES}
+    names = [[case.name.removesuffix(f"-{course}") for case in cases] for course, cases in by_course.items()]
+    assert names[0] == names[1] == names[2]
+    kinds = {deed.what for case in CAMERA_CASES for deed in case.deeds if isinstance(deed, OnCamera)}
+    assert set(get_args(CameraFaultKind)) <= kinds
+    for case in CAMERA_CASES:
+        assert case.ends_the_walk, "it is injected into a copy"
+        assert case.limits.reasons
+        assert case.limits.place_m <= 0.10
+        assert case.limits.stands is ("lasting" in case.name)

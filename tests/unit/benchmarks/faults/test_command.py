@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.cli import main
-from benchmarks.faults.cases import CASES, LIVE_CASES
+from benchmarks.faults.cases import CAMERA_CASES, CASES, LIVE_CASES
 from sextant.deploy.commands.common import SUCCESS, WRONG_INPUT
 
 
@@ -13,9 +13,10 @@ def listed_faults(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
 
 
 def test_list_option_names_all_or_only_live_faults(capsys: pytest.CaptureFixture[str]) -> None:
-    assert listed_faults(capsys) == [case.name for case in (*CASES, *LIVE_CASES)]
+    assert listed_faults(capsys) == [case.name for case in (*CASES, *CAMERA_CASES, *LIVE_CASES)]
     assert listed_faults(capsys, "--live") == [case.name for case in LIVE_CASES]
     assert listed_faults(capsys, "sag", "live-hogs") == ["sag", "live-hogs"]
+    assert listed_faults(capsys, "camera-dirt*-steps") == ["camera-dirt-steps", "camera-dirt-lasting-steps"]
 
 
 def test_mixed_and_unknown_faults_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

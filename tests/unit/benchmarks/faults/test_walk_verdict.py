@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from benchmarks.faults.bus_log import Goals, Switch
 from benchmarks.faults.cases import BY_NAME
-from benchmarks.faults.timeline import Timeline
+from benchmarks.faults.timeline import Status, Timeline
 from benchmarks.faults.walk_verdict import cycles, off_time, score
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.messages import Mode
@@ -226,3 +226,17 @@ def test_goal_speed_excludes_rounding_tick(ways: list[int], early_s: float) -> N
 
 def test_goal_speed_needs_two_goals() -> None:
     assert isnan(score(timeline(goals=(goal(0.1),)), KILLED, PROFILE).goal_dps)
+
+
+def test_stand_is_judged_by_its_longest_reason() -> None:
+    case = BY_NAME["camera-frozen-steps"]
+    said = (("waiting", "no fresh terrain map"), *(("waiting", f"frozen for {k} s") for k in range(3)), ("stepping", "walks"))
+    statuses = tuple(Status(BEGIN_S + 1.0 + 0.5 * k, *words) for k, words in enumerate(said))
+    held = (word(0.9, Mode.HOLD), word(3.5, Mode.WALK, "walking"))
+    found = score(timeline(*held, statuses=statuses, ended="walks", place_m=0.02), case, PROFILE)
+    assert (found.stood, found.unnamed, found.ended, found.place_m) == (("frozen for 2 s",), "", "walks", 0.02)
+    for some, reason in ((statuses[:1], "no fresh terrain map"), ((), "nothing was said")):
+        assert score(timeline(*held, statuses=some, ended="walks"), case, PROFILE).unnamed == reason
+    assert not score(timeline(word(0.9, Mode.HOLD), word(1.5, Mode.WALK, "walking")), case, PROFILE).stood
+    arrived = timeline(word(0.9, Mode.HOLD), word(3.5, Mode.HOLD), ended="arrived")
+    assert not score(arrived, case, PROFILE).stood

@@ -214,3 +214,49 @@ def test_foot_contact_sets_height_of_unseen_ground() -> None:
 def test_non_finite_foot_contact_is_refused() -> None:
     with pytest.raises(ValueError, match="a finite point"):
         ElevationGrid(32, 0.01).touch((0.0, 0.0, np.nan), 0.005, 0.01)
+
+
+GROUND = np.stack(np.meshgrid(np.arange(0.405, 0.8, 0.01), np.arange(-0.195, 0.2, 0.01)), axis=-1).reshape(-1, 2)
+
+
+def known_ground() -> ElevationGrid:
+    grid = ElevationGrid(size=200)
+    for _ in range(4):
+        scan(grid, GROUND, 0.0)
+    return grid
+
+
+def fused(grid: ElevationGrid, z: NDArray[np.float64] | float, ground: float | None) -> float:
+    points = np.column_stack([GROUND, np.broadcast_to(z, len(GROUND))])
+    once = scan_of(points, np.full(len(GROUND), 4), np.zeros(len(GROUND)), CAMERA)
+    return grid.fuse(once, ground).contradiction
+
+
+def test_scan_that_contradicts_ground_under_the_feet_is_not_fused() -> None:
+    tilted = -0.2 * GROUND[:, 0]  # as with intrinsics of another camera
+    grid = known_ground()
+    for _ in range(8):
+        assert fused(grid, tilted, ground=0.0) == pytest.approx(-0.12, abs=0.01)
+    np.testing.assert_allclose(grid.heights(GROUND), 0.0, atol=1e-3)
+    for _ in range(8):
+        assert fused(grid, tilted, ground=None) == 0.0, "without the feet, the newest scans are right"
+    np.testing.assert_allclose(grid.heights(GROUND), tilted, atol=0.01)
+
+
+def test_scan_with_a_new_object_is_fused() -> None:
+    grid, half = known_ground(), np.where(GROUND[:, 1] > 0.0, 0.2, 0.0)
+    for _ in range(8):
+        assert fused(grid, half, ground=0.0) == 0.0
+    np.testing.assert_allclose(grid.heights(GROUND), half, atol=0.01)
+
+
+def test_rays_reflected_by_a_wet_floor_clear_no_ground() -> None:
+    far = CAMERA + 4.0 * (np.column_stack([GROUND, np.zeros(len(GROUND))]) - CAMERA)
+    cleared = []
+    for ground in (0.0, None):
+        grid = known_ground()
+        for _ in range(40):
+            grid.fuse(scan_of(far, np.full(len(far), 4), np.zeros(len(far)), CAMERA), ground)
+        cleared.append(int(np.isnan(grid.heights(GROUND)).sum()))
+    assert cleared[0] == 0
+    assert cleared[1] > 0

@@ -133,3 +133,12 @@ def test_agreeing_feet_in_between_start_the_wait_again() -> None:
 )
 def test_ground_is_shown_by_enough_loaded_feet(changes: dict[str, Any], shown: bool) -> None:
     assert feet_show_ground(legs(**changes)) is shown
+
+
+def test_feet_on_the_map_confirm_its_ground_for_a_while() -> None:
+    feet, lifted = evidence(), legs(contact=np.zeros(6, dtype=bool))
+    assert feet.confirmed_ground(grid_at(0.0), S, POSE, lifted) is None
+    assert feet.confirmed_ground(grid_at(0.0), S, POSE, legs()) == pytest.approx(0.0, abs=1e-6)
+    assert feet.confirmed_ground(grid_at(0.0), 2 * S, POSE, lifted) == pytest.approx(0.0, abs=1e-6)
+    assert feet.confirmed_ground(grid_at(0.0), 4 * S, POSE, lifted) is None
+    assert feet.confirmed_ground(grid_at(0.05), 4 * S, POSE, legs()) is None

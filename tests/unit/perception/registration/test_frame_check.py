@@ -58,3 +58,25 @@ def test_motion_counts_from_the_first_known_pose(check: FrameCheck) -> None:
 def test_image_without_returns_is_not_frozen(check: FrameCheck) -> None:
     blank = np.zeros(SIZE, dtype=np.uint16)
     assert [check.fault(image(depth=blank), body_at(x)) for x in (0.0, 0.1, 0.2)] == ["", "", ""]
+
+
+@pytest.mark.parametrize(
+    ("off_s", "words"),
+    [(0.4, ""), (0.6, "stamps its images 0.6 s in the future"), (-1.4, ""), (-1.6, "images are 1.6 s old by their stamps")],
+)
+def test_stamp_far_from_the_clock_is_a_fault(check: FrameCheck, off_s: float, words: str) -> None:
+    stamp_ns = 10 * S + round(off_s * S)
+    fault = check.stamp_fault(stamp_ns, 10 * S)
+    assert words in fault
+    assert bool(fault) is bool(words)
+    assert check.stamp_fault(stamp_ns, None) == "", "a clock that is not known shows nothing"
+
+
+def test_stamps_that_stay_back_are_a_fault_and_single_late_frames_are_not(check: FrameCheck) -> None:
+    found = []
+    for stamp_ns in (10 * S, 10 * S - 1, 10 * S + 1, *[10 * S - S // 5] * 4, 10 * S + 2):
+        found.append(check.stamp_fault(stamp_ns, None))
+        if not found[-1]:
+            check.is_late(stamp_ns)
+    assert [bool(fault) for fault in found] == [False] * 6 + [True, False]
+    assert "do not rise: the newest image is stamped 0.2 s before an earlier one" in found[6]

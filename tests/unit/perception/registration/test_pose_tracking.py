@@ -86,3 +86,40 @@ def test_restarted_tilt_is_the_next_one(tracker: PoseTracker) -> None:
     tracker.correct(S // 10, pose(0.1, roll=0.02), motion(0.1), registered=True)
     steady = tracker.steady_T_world_odom(pose(0.1))
     np.testing.assert_allclose(steady, pose(0.1, roll=0.02) @ inverse(pose(0.1)), atol=1e-9)
+
+
+def lose(tracker: PoseTracker, from_s: int, until_s: int) -> None:
+    for k in range(from_s, until_s):
+        tracker.correct(k * S, pose(0.0), motion(0.0), registered=False)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (pose(0.0, roll=0.08), "images tilt the body by 5 deg against its feet"),
+        (from_xyz_rpy((0.0, 0.0, 0.14), np.zeros(3)), "images lift the body by +4 cm off its feet"),
+    ],
+)
+def test_pose_that_contradicts_feet_is_refused_after_long_time_without_registration(
+    tracker: PoseTracker, wrong: Array, words: str
+) -> None:
+    assert not tracker.contradiction(S, wrong, motion(0.0)), "the ground may sink under the feet"
+    lose(tracker, 1, 5)
+    right = pose(0.1, roll=0.02)
+    assert not tracker.contradiction(5 * S, right, motion(0.1))
+    tracker.correct(5 * S, right, motion(0.1), registered=True)
+    assert tracker.contradiction(6 * S, wrong, motion(0.0)) == words, "a pose that is wrong by and by"
+    for begin_s, for_s in ((6, 2), (20, 4), (40, 8)):
+        tracker.distrust(begin_s * S, words)
+        np.testing.assert_allclose(tracker.T_world_odom, np.eye(4), atol=1e-12)
+        refused = [tracker.distrusted((begin_s + k) * S) for k in (0, for_s - 1, for_s)]
+        assert refused == [words, words, ""], "longer each time"
+        lose(tracker, begin_s, begin_s + 10)
+        assert tracker.contradiction((begin_s + 10) * S, wrong, motion(0.0)) == words
+
+
+def test_doubt_ends_after_a_while(tracker: PoseTracker) -> None:
+    lose(tracker, 1, 5)
+    assert not tracker.contradiction(5 * S, pose(0.0), motion(0.0))
+    tracker.correct(5 * S, pose(0.0), motion(0.0), registered=True)
+    assert not tracker.contradiction(7 * S, pose(0.0, roll=0.08), motion(0.0))

@@ -121,7 +121,7 @@ def test_unknown_name_lists_known_ones() -> None:
         ({"variation": {"friction": 0.5}}, "variation: factors of at least 1"),
         ({"faults": [{"at_s": -1, "service": "planner"}]}, r"faults\[0\]: a time of at least 0 s"),
         ({"faults": [{"at_s": 1, "service": "simulator"}]}, r"faults\[0\].service: one of"),
-        ({"faults": [{"at_s": 1, "service": "camera"}]}, r"faults\[0\]: one of absent, frozen, blind, noise"),
+        ({"faults": [{"at_s": 1, "service": "camera"}]}, r"faults\[0\]: one of absent, frozen, stale, blind, noise, sun"),
         ({"faults": [{"at_s": 1, "service": "planner", "kind": "blind"}]}, r"faults\[0\]: one of kill, hang"),
         ({"name": "a/../b"}, "a name of letters"),
         ({"name": ""}, "a name of letters"),

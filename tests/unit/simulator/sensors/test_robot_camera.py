@@ -5,10 +5,12 @@ import pytest
 
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.services.simulator.physics.world import World
+from sextant.services.simulator.sensors.camera_faults import delivery
 from sextant.services.simulator.sensors.robot_camera import RobotCamera
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Stages
+from sextant.shared.scenario.mover import BoxMover
 from sextant.shared.scenario.scenario import Fault, Goal, Plane, Scenario
 
 
@@ -60,3 +62,78 @@ def test_only_a_colour_camera_has_colour() -> None:
         plain.color()
     assert color.has_color
     assert color.color().shape == (480, 640, 3)
+
+
+def test_fault_or_mover_at_run_time_begins_at_its_time() -> None:
+    seen = camera()
+    plain = seen.depth()
+    seen.disturb(Fault(0.0, "camera", "blind", for_s=1.0))
+    assert not np.any(seen.depth())
+    walker = camera()
+    walker.disturb(BoxMover(((0.8, 0.1), (0.8, -0.1)), speed=0.1, size=(0.3, 0.2, 0.3), frame="robot"))
+    assert walker.begin_frame()
+    assert np.count_nonzero(walker.depth() != plain) > 1000
+    with pytest.raises(ValueError, match="a fault of the camera expected, found one of mapper"):
+        seen.disturb(Fault(0.0, "mapper", "hang"))
+
+
+@pytest.mark.parametrize("kind", ["sun", "dark", "dropouts", "blobs"])
+def test_light_and_dropouts_lose_pixels_and_change_no_other(kind: str) -> None:
+    whole, seen = camera().depth(), camera(Fault(0.0, "camera", kind, for_s=1.0)).depth()  # type: ignore[arg-type]
+    assert whole is not None
+    assert seen is not None
+    kept = seen > 0
+    np.testing.assert_array_equal(seen[kept], whole[kept])
+    assert 0.02 < np.count_nonzero(kept) / np.count_nonzero(whole) < 0.95
+
+
+def test_puddles_show_what_is_above_them_below_the_floor() -> None:
+    seen = camera(Fault(0.0, "camera", "wet", for_s=1.0))
+    depth = seen.depth()
+    assert depth is not None
+    profile = load_profile("phantomx_mk2").camera
+    points = profile.intrinsics.points(depth / profile.sensor.depth_scale)[depth > 0]
+    z = (points @ (seen._T_world_camera[:3, :3]).T + seen._T_world_camera[:3, 3])[:, 2]
+    below = np.abs(z + 0.6) < 0.05
+    assert 0.1 < below.mean() < 0.9
+    assert np.abs(z[~below]).max() < 0.1
+
+
+def test_dirt_stays_in_its_place_in_the_image() -> None:
+    depth = camera(Fault(0.0, "camera", "dirt", for_s=1.0)).depth()
+    assert depth is not None
+    assert (np.abs(depth[100:180, 270:370].astype(int) - 575) <= 25).all()
+
+
+def test_wrong_intrinsics_show_the_ground_elsewhere() -> None:
+    plain, swapped, zoomed = (
+        camera(*(Fault(0.0, "camera", kind, for_s=1.0) for kind in kinds)).depth()  # type: ignore[arg-type]
+        for kinds in ((), ("swapped",), ("zoomed",))
+    )
+    assert plain is not None
+    assert swapped is not None
+    assert zoomed is not None
+    v, u = 150, 200
+    assert abs(int(swapped[v + 80, u - 80]) - int(plain[v, u])) < 20, "cx and cy are 80 px apart"
+    assert abs(int(zoomed[239 - 120, 319]) - int(plain[239 - 60, 319])) < 20
+
+
+@pytest.mark.parametrize(
+    ("kind", "stamps_s", "arrive_s"),
+    [
+        ("late", [0.0, 1.0], [1.0, 2.0]),
+        ("stale", [0.0, 0.0], [0.0, 1.0]),
+        ("ahead", [1.0, 2.0], [0.0, 1.0]),
+        ("backward", [0.0, -2.0], [0.0, 1.0]),
+        ("frozen", [0.0, 1.0], [0.0, 1.0]),
+    ],
+)
+def test_faults_of_stamps(kind: str, stamps_s: list[float], arrive_s: list[float]) -> None:
+    begin, s = 10_000_000_000, 1_000_000_000
+    found = [delivery(kind, begin + k * s, begin, k) for k in (0, 1)]
+    assert [((stamp - begin) / s, (due - begin) / s) for stamp, due in found] == list(zip(stamps_s, arrive_s, strict=True))
+
+
+def test_jumping_stamps_go_to_and_fro() -> None:
+    off = [delivery("jumping", k * 33_000_000, 0, k)[0] - k * 33_000_000 for k in range(8)]
+    assert {*off} == {400_000_000, -400_000_000}
