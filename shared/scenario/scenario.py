@@ -636,7 +636,7 @@ class Fault:
 
     at_s: float  # [s] simulated
     service: Literal["perception", "mapper", "planner", "actuator", "camera"]  # process or device that fails
-    # How it fails; "kill" and "hang" are for processes, and the table of the camera's kinds is in docs/simulation.md.
+    # How it fails: a process by "kill" or "hang", the simulated camera by the others; simulation.md explains them.
     kind: Literal["kill", "hang", CameraFaultKind] = "kill"
     # [s] duration. A live run restarts a killed process itself, and also one that hangs for too long.
     for_s: float = 2.0

@@ -18,6 +18,9 @@ REASONS = {
     "absent": "the camera sends no images: unplugged",
     "frozen": "frozen",
     "noise": "the camera sends noise",
+    "stale": "old by their stamps",
+    "ahead": "the camera stamps its images 1.0 s in the future",
+    "backward": "old by their stamps",
 }
 
 
@@ -36,7 +39,7 @@ def assert_goal_reached_with_correct_maps(found: Walk) -> None:
         assert np.nanmax(np.abs(terrain.elevation)) < 0.05
 
 
-@pytest.mark.parametrize("kind", ["absent", "frozen", "noise"])
+@pytest.mark.parametrize("kind", REASONS)
 def test_robot_stops_on_camera_fault_with_reason_and_resumes(kind: str) -> None:
     found = faulty(kind)
     during = found.states(AT_S, AT_S + FOR_S)

@@ -30,3 +30,13 @@ def test_faults_command_checks_limits_and_skips_completed_injections(
     assert main(["faults", *FAULTS, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS
     assert "3 of 3 injections are already done" in capsys.readouterr().out
     assert (tmp_path / "faults.jsonl").read_bytes() == lines
+
+
+def test_camera_faults_end_walking_or_standing_with_the_reason(tmp_path: Path) -> None:
+    lasting, wet = faults = ("camera-zoomed-lasting-steps", "camera-wet-steps")
+    assert main(["faults", *faults, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS, (tmp_path / "faults.md").read_text()
+    found = {entry["fault"]: entry["outcome"] for entry in map(json.loads, (tmp_path / "faults.jsonl").open())}
+    assert found[lasting]["ended"] == "stands"
+    assert any("the camera shows the ground" in words for words in found[lasting]["stood"])
+    assert found[wet]["ended"] == "walks"
+    assert max(outcome["place_m"] for outcome in found.values()) < 0.10
