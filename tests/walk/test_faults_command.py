@@ -35,7 +35,9 @@ def test_faults_command_checks_limits_and_skips_completed_injections(
 def test_camera_faults_end_walking_or_standing_with_the_reason(tmp_path: Path) -> None:
     lasting, wet = faults = ("camera-zoomed-lasting-steps", "camera-wet-steps")
     assert main(["faults", *faults, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS, (tmp_path / "faults.md").read_text()
-    found = {entry["fault"]: entry["outcome"] for entry in map(json.loads, (tmp_path / "faults.jsonl").open())}
+    found = {
+        entry["fault"]: entry["outcome"] for entry in map(json.loads, (tmp_path / "faults.jsonl").read_text().splitlines())
+    }
     assert found[lasting]["ended"] == "stands"
     assert any("the camera shows the ground" in words for words in found[lasting]["stood"])
     assert found[wet]["ended"] == "walks"

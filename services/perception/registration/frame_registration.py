@@ -77,7 +77,7 @@ class FrameRegistration:
             found: The result that is wrong.
             T: (4, 4) body pose {world} that gives place and heading.
             motion: Motion of the body at the frame.
-            why: What is wrong, as text.
+            why: Reason of the restart, as text.
         """
         R = rotation_from_rpy([0.0, 0.0, yaw_of(T)])
         p = T[:3, 3] - R @ motion.T_odom_body[:3, 3]

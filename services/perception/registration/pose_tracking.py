@@ -10,7 +10,7 @@ from sextant.services.perception.registration.motion_prior import Motion
 from sextant.shared.geometry import Array, inverse, orthonormal, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
 
 _MAX_TILT_RAD, _MAX_LIFT_M = 0.05, 0.03  # of the body against its feet while a pose is doubted
-_LOST_NS = 2_000_000_000  # [ns] without a registered frame, after which poses are doubted for as long
+_LOST_NS = 2_000_000_000  # [ns] without a registered frame; then poses are doubted for the same time
 _LONGEST_NS = 16_000_000_000  # [ns] longest time for which images are refused
 _MAX_SIGMA_M, _MAX_SIGMA_RAD = 10.0, 3.0  # [m] [rad] upper bounds of the predicted standard deviation
 

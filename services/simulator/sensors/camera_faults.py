@@ -12,7 +12,7 @@ from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.scenario.scenario import CameraFaultKind
 
 _SUN_PERIOD_M, _SUN_SHARE = 0.5, 0.7  # stripes of sunlight on the ground, as through a window, and their share of it
-_SUN_LOSS = 0.3  # [1] share of pixels lost beside them, by scattered light
+_SUN_LOSS = 0.3  # [1] share of the other pixels that are lost
 _DARK_RANGE_M = 0.7  # [m] up to which a dark surface returns enough light; beyond, pixels are lost with the square of the range
 _PUDDLE_M = 0.6  # [m] period of the pattern of puddles
 _UNDERSIDE_M = 0.6  # [m] height above the ground of what the puddles mirror, for example a table
@@ -53,7 +53,7 @@ class CameraFaults:
         return None
 
     def scene(self, kind: str, w: NDArray[np.float32], T_world_camera: Array) -> NDArray[np.float32]:
-        """Return the inverse depth (h, w) [1/m] that reaches the camera, for a true one; 0 without a surface."""
+        """Apply a fault of the lens or the ground to true inverse depth (h, w) [1/m]; 0 means no surface."""
         lens = self._lens
         match kind:
             case "swapped":
@@ -70,7 +70,7 @@ class CameraFaults:
         return w
 
     def measured(self, kind: str, raw: NDArray[np.uint16], T_world_camera: Array, time_ns: int) -> NDArray[np.uint16]:
-        """Return the raw image (h, w) that the camera sends, for what it would measure without the fault."""
+        """Apply a fault of the sensor or its light to a measured raw image (h, w)."""
         rng = np.random.default_rng([self._seed, time_ns])
         scale = self._sensor.depth_scale
         match kind:
@@ -112,11 +112,11 @@ class CameraFaults:
 
 
 def delivery(kind: CameraFaultKind | str, stamp_ns: int, begin_ns: int, frame: int) -> tuple[int, int]:
-    """Return stamp and arrival [ns] of an image under a fault of the stamps, for a right stamp.
+    """Return the stamp and the arrival time [ns] of an image under a fault.
 
     Args:
         kind: Of the fault.
-        stamp_ns: [ns] right stamp.
+        stamp_ns: [ns] stamp without the fault.
         begin_ns: [ns] time at which the fault began.
         frame: Number of the image.
     """
