@@ -388,8 +388,8 @@ _PERSON = LegsMover(_PATH, speed=0.9, frame="robot")
 _ANIMAL = BoxMover(_PATH, speed=1.2, size=(0.5, 0.15, 0.3), frame="robot")
 _PACING = LegsMover(_PATH, speed=0.45, frame="robot", period_s=4.2)
 
-_UNSEEN = "measured|within its range|camera"  # the image shows too little
-_CONTRADICTS = "overlap|agree|apart|jump|contradict|camera"
+_UNSEEN = "measure|within its range|camera"  # the image shows too little
+_CONTRADICTS = "overlap|agree|apart|jump|feet|camera"
 _STAMPS = "stamp|late|out of order|no new image"
 _SEEN = f"foothold|out of reach|{_UNSEEN}|{_CONTRADICTS}"  # the picture shows no ground to stand on
 
