@@ -79,7 +79,7 @@ class StateReport:
             phase=float(walk.phase),
             swing=walk.swing.copy(),
             contact=estimator.contact.legs & ~walk.flying,
-            q=motion.goals.measured(joints.q, joints.legs_without_torque),
+            q=odometry.q.copy(),
             load_nm=joints.load.copy(),
             feet=odometry.feet.copy(),
             T_odom_body=odometry.T_odom_body.copy(),

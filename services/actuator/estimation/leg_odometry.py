@@ -87,8 +87,9 @@ class LegOdometry:
     def _shanks_in_odom(self, q: Array) -> list[Point]:
         """Return unit vectors {odom} from the foot centres up the shanks.
 
-        Also store the feet (6, 3) [m] {body}.
+        Also store the joint angles, and the feet (6, 3) [m] {body}.
         """
+        self.q = q
         self._feet, shanks = feet_and_shanks(self._profile, q)
         self.feet = np.array(self._feet)
         (xx, xy, xz, _), (yx, yy, yz, _), (zx, zy, zz, _), _ = self.T_odom_body.tolist()
