@@ -40,6 +40,7 @@ class Planner:
         topics.TERRAIN,
         topics.VELOCITY,
         topics.GOAL,
+        topics.POSTURE,
         topics.CAMERA_STATE,
         topics.SCAN_RECEIPT,
         topics.PASSAGE,
@@ -125,7 +126,8 @@ class Planner:
     def _decide(self, state: ActuatorState, inbox: Inbox) -> Decision | None:
         """Return what to do now, or None if nothing is due."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.revision.pose_age_s)
-        request = current_request(inbox.fresh(topics.VELOCITY), inbox.fresh(topics.GOAL), state.stamp_ns, state.speed_scale)
+        orders = inbox.fresh(topics.VELOCITY), inbox.fresh(topics.POSTURE), inbox.fresh(topics.GOAL)
+        request = current_request(*orders, state.stamp_ns, state.speed_scale)
         command, goal = request.command, request.goal
         self._has_goal = goal is not None
         if command is not None and not is_still(command):
@@ -139,6 +141,12 @@ class Planner:
             if known is None:
                 return Decision("waiting", "by touch: no pose from perception yet, the world frame is unknown")
             return self._steps.select_by_touch(command, RobotEstimate(state, known), self._missing_ground)
+        if request.posture is not None:
+            self._goals.abandon_crossing()
+            known = inbox.latest(topics.BODY_POSE)
+            if known is None:
+                return Decision("waiting", "posture: no pose from perception yet, the world frame is unknown")
+            return self._steps.select_posture(request.posture, RobotEstimate(state, known))
         if pose is None:
             return Decision("waiting", f"no fresh pose from perception{_camera_fault(inbox)}")
         wanted = goal if command is None else command

@@ -78,12 +78,12 @@ _HEALTHS, _PRESENCES = _of_roles(t.HEALTH_OF, *_HEARD_OF), _of_roles(t.PRESENCE_
 _SEEN: tuple[AnyTopic, ...] = (  # topics that the console displays, and small ones
     *(t.ACTUATOR_STATE, t.BODY_POSE, t.ODOMETRY, t.STEP_PLAN, t.PLANNER_STATUS, t.PASSAGE_PLAN, t.PASSAGE_REQUEST),
     *(t.CAMERA_STATE, t.TERRAIN, t.PREVIEW, t.RECORDER_STATE),
-    *(t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD),
+    *(t.VELOCITY, t.GOAL, t.POSTURE, t.MODE, t.STOP, t.RECORD),
     *_HEALTHS,
     *_PRESENCES,
 )
 _PLANNED = (t.SCAN_RECEIPT, t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
-_LED = (t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD)
+_LED = (t.VELOCITY, t.GOAL, t.POSTURE, t.MODE, t.STOP, t.RECORD)
 _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     Role(
         "robot",

@@ -448,6 +448,18 @@ class Goal(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class PostureCommand(Message):
+    """Commanded pose of the body over its standing feet, repeated while it holds; operator -> planner.
+
+    It is relative to the rest pose, in which the feet are nearest to the resting stance. All zero is that pose. A fresh
+    VelocityCommand overrides it, and it overrides a Goal.
+    """
+
+    place: Annotated[NDArray[np.float64], Dims(3)]  # [m] forward, left, up from the rest pose
+    rpy: Annotated[NDArray[np.float64], Dims(3)]  # [rad] roll, pitch and yaw from the rest pose
+
+
+@dataclass(frozen=True, slots=True)
 class ModeCommand(Message):
     """Mode command for the legs; operator -> actuator."""
 

@@ -95,6 +95,7 @@ STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL
 PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.021)
 VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 GOAL = Topic("operator/goal", m.Goal, 5.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
+POSTURE = Topic("operator/posture", m.PostureCommand, 5.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 STOP = Topic("operator/stop", m.StopOrder, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 RECORD = Topic("operator/record", m.RecordCommand, 1.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
@@ -136,6 +137,7 @@ TOPICS: tuple[Topic[Any], ...] = (
     PLANNER_STATUS,
     VELOCITY,
     GOAL,
+    POSTURE,
     MODE,
     STOP,
     RECORD,

@@ -15,6 +15,7 @@ from sextant.services.planner.locomotion.gait import GAITS, directions, swing_or
 from sextant.services.planner.locomotion.missing_ground import MissingGround
 from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP, NumberedStep, PlanTracker
 from sextant.services.planner.locomotion.plugin_step_planner import PluginStepPlanner
+from sextant.services.planner.locomotion.posture import posture_step
 from sextant.services.planner.locomotion.replan_attempts import StepVariant
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.operator_request import is_new_course, is_still
@@ -23,7 +24,7 @@ from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, inverse, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import Stages
-from sextant.shared.wire.messages import TerrainMap, VelocityCommand
+from sextant.shared.wire.messages import PostureCommand, TerrainMap, VelocityCommand
 
 _RETRY_S = 2.0  # [s] pause after the actuator has refused every way of taking a step
 
@@ -47,6 +48,7 @@ class StepSelector:
         self._by_touch = BlindStepPlanner(profile, settings)
         self._asked: VelocityCommand | None = None  # the command for which the refusals were collected
         self._retargeted: tuple[int, TerrainMap] | None = None  # number of the step and map of the last retargeting
+        self._posture = np.zeros((2, 3))  # the posture for which the refusals were collected
         self._start_place: Array | None = None  # (2,) [m] {world} where the robot stood before its first step
 
     def validation_error(self, command: VelocityCommand) -> str:
@@ -116,6 +118,26 @@ class StepSelector:
             refusals.give_up()
             return Decision("blocked", f"by touch: {refusals.words()}", retry_s=self._settings.revision.interval_s)
         return Decision("blocked", f"by touch: {found.reason}", found.leg, retry_s=self._settings.revision.interval_s)
+
+    def select_posture(self, command: PostureCommand, robot: RobotEstimate) -> Decision | None:
+        """Return the motion of the body to a posture; None while a step runs."""
+        refusals = self._plans.refusals
+        if not np.array_equal([command.place, command.rpy], self._posture):
+            refusals.forget()
+            self._posture = np.array([command.place, command.rpy])
+        stance = self._plans.stance_after(robot)
+        if stance is None:
+            return Decision("waiting", UNKNOWN_STEP)
+        if robot.state.phase < 1.0:
+            return None
+        if refusals.count > 1:
+            reason = f"posture: {refusals.reason}"
+            refusals.forget()
+            return Decision("blocked", reason, retry_s=_RETRY_S)
+        planned = posture_step(self._profile, command, stance)
+        if planned is None:
+            return Decision("arrived", "the body is in the commanded posture")
+        return Decision("stepping", "moving the body to a posture", step=self._next(robot, planned, (0, 0), None, stop=True))
 
     def retarget(self, robot: RobotEstimate, terrain: Terrain) -> NumberedStep | None:
         """Return the running step by a new map, or None if the map is not new.

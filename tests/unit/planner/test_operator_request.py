@@ -7,23 +7,31 @@ import numpy as np
 import pytest
 
 from sextant.services.planner.operator_request import current_request, is_new_course, is_still
-from sextant.shared.wire.messages import Goal, VelocityCommand
+from sextant.shared.wire.messages import Goal, PostureCommand, VelocityCommand
 
 S = 1_000_000_000
 NOW_NS = 100 * S
 COMMAND = VelocityCommand(NOW_NS, np.array([0.06, 0.0]), 0.2, 0.11, 0.04)
+POSTURE = PostureCommand(NOW_NS, np.zeros(3), np.array([0.0, 0.1, 0.0]))
 GOAL = Goal(NOW_NS, np.array([[1.0, 0.0]]), 0.03, 0.10, 0.11, 0.04)
 
 
 def test_velocity_command_has_priority_over_goal() -> None:
-    request = current_request(COMMAND, GOAL, NOW_NS, 1.0)
+    request = current_request(COMMAND, None, GOAL, NOW_NS, 1.0)
     assert request.command is COMMAND
     assert request.goal is None
     assert request.untimely_reason == ""
 
 
+def test_posture_is_between_velocity_command_and_goal() -> None:
+    both = current_request(COMMAND, POSTURE, GOAL, NOW_NS, 1.0)
+    assert (both.command, both.posture, both.goal) == (COMMAND, None, None)
+    held = current_request(None, POSTURE, GOAL, NOW_NS, 1.0)
+    assert (held.command, held.posture, held.goal) == (None, POSTURE, None)
+
+
 def test_goal_holds_if_the_velocity_command_is_stale() -> None:
-    request = current_request(replace(COMMAND, stamp_ns=NOW_NS - 3 * S), GOAL, NOW_NS, 1.0)
+    request = current_request(replace(COMMAND, stamp_ns=NOW_NS - 3 * S), None, GOAL, NOW_NS, 1.0)
     assert request.command is None
     assert request.goal is not None
 
@@ -31,18 +39,20 @@ def test_goal_holds_if_the_velocity_command_is_stale() -> None:
 @pytest.mark.parametrize(("age_s", "words"), [(60, "60.0 s old"), (-3, "stamped 3.0 s ahead")])
 def test_stale_or_future_request_is_ignored_with_reason(age_s: int, words: str) -> None:
     stamp_ns = NOW_NS - age_s * S
-    for what, velocity, goal in (
-        ("velocity command", replace(COMMAND, stamp_ns=stamp_ns), None),
-        ("goal", None, replace(GOAL, stamp_ns=stamp_ns)),
+    for what, velocity, posture, goal in (
+        ("velocity command", replace(COMMAND, stamp_ns=stamp_ns), None, None),
+        ("posture command", None, replace(POSTURE, stamp_ns=stamp_ns), None),
+        ("goal", None, None, replace(GOAL, stamp_ns=stamp_ns)),
     ):
-        request = current_request(velocity, goal, NOW_NS, 1.0)
+        request = current_request(velocity, posture, goal, NOW_NS, 1.0)
         assert request.command is None
+        assert request.posture is None
         assert request.goal is None
         assert request.untimely_reason.startswith(f"the {what} is {words} by the robot's clock")
 
 
 def test_speed_scale_slows_velocity_turn_and_goal() -> None:
-    by_velocity, by_goal = current_request(COMMAND, None, NOW_NS, 0.5), current_request(None, GOAL, NOW_NS, 0.5)
+    by_velocity, by_goal = current_request(COMMAND, None, None, NOW_NS, 0.5), current_request(None, None, GOAL, NOW_NS, 0.5)
     assert by_velocity.command is not None
     np.testing.assert_allclose(by_velocity.command.velocity, 0.5 * COMMAND.velocity)
     assert by_velocity.command.yaw_rate == pytest.approx(0.5 * COMMAND.yaw_rate)
