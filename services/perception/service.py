@@ -10,6 +10,7 @@ from sextant.services.perception.cameras.image_quality import EMPTY, measured_sh
 from sextant.services.perception.config import Settings
 from sextant.services.perception.preview import preview
 from sextant.services.perception.rate_control import RateControl
+from sextant.services.perception.rectification import Rectifier
 from sextant.services.perception.reduction.scan_color import Coloring
 from sextant.services.perception.reduction.scan_reducer import ScanReducer
 from sextant.services.perception.registration.error_twist import covariance_at, unit_twists_at
@@ -45,9 +46,11 @@ class Perception:
         cv2.setNumThreads(1)  # the other services need the other cores, and one thread is deterministic
         self.max_age_s = {topics.DEPTH.key: _MAX_FRAME_AGE_S}
         self.stages = Stages()
-        self._settings, self._camera = settings, profile.camera
-        self._time_offset_ns = round(profile.camera.time_offset_s * 1e9)
         intrinsics = profile.camera.intrinsics
+        self._time_offset_ns = round(profile.camera.time_offset_s * 1e9)
+        self._rectify = Rectifier(intrinsics, profile.camera.distortion)
+        profile = replace(profile, camera=profile.camera.rectified)
+        self._settings, self._camera = settings, profile.camera
         self._odometry = OdometryHistory()
         self._check = FrameCheck((intrinsics.height, intrinsics.width))
         self._tracker = PoseTracker(settings)
@@ -84,8 +87,10 @@ class Perception:
         if self._time_offset_ns:
             image = replace(image, stamp_ns=self._exposed_ns(image))
         if self._frames % self._every:
-            self._keep_for_color(image)
+            if self._coloring is not None:
+                self._keep_for_color(replace(image, depth=self._rectify(image.depth)), self._coloring)
             return
+        image = replace(image, depth=self._rectify(image.depth))
         yield from self._pose_and_scan(image, inbox)
         yield from self._preview(image, inbox)
 
@@ -181,22 +186,22 @@ class Perception:
         if picture is None:
             return scan
         with self.stages("color"):
-            color = coloring.colors(scan.points, self._exposed_ns(picture), picture.rgb)
+            color = coloring.colors(scan.points, self._exposed_ns(picture), self._rectify(picture.rgb))
         if coloring.problem:
             self._words += f"; {coloring.problem}"
         return replace(scan, color=color) if len(color) else scan
 
-    def _keep_for_color(self, image: DepthImage) -> None:
+    def _keep_for_color(self, image: DepthImage, coloring: Coloring) -> None:
         """Store an unregistered frame with its odometry pose.
 
         A colour image for it may arrive later.
         """
-        if self._coloring is None or self._tracker.last_registered is None or not self._check.has_expected_size(image):
+        if self._tracker.last_registered is None or not self._check.has_expected_size(image):
             return
         motion = self._odometry.motion_at(image.stamp_ns)
         if motion is not None:
             T_world_camera = self._tracker.T_world_odom @ motion.T_odom_body @ self._camera.T_body_camera
-            self._coloring.keep(image.stamp_ns, image.depth, np.asarray(T_world_camera))
+            coloring.keep(image.stamp_ns, image.depth, np.asarray(T_world_camera))
 
     def _preview(self, image: DepthImage, inbox: Inbox) -> Iterator[Preview]:
         """Yield a small picture of the frame if one is due and wanted."""

@@ -26,12 +26,16 @@ def _camera(camera: Camera, deviation: Deviation) -> Camera:
     x, y, z = (np.array(camera.mount_xyz) + deviation.camera_xyz).tolist()
     lens, (right, down) = camera.intrinsics, deviation.principal_point.tolist()
     scale = 1.0 + deviation.focal_length
+    depth_error = camera.depth_error + deviation.depth_scale + camera.depth_error * deviation.depth_scale
     return replace(
         camera,
         mount_xyz=(x, y, z),
         roll_deg=camera.roll_deg + roll,
         pitch_down_deg=camera.pitch_down_deg + pitch,
         yaw_deg=camera.yaw_deg + yaw,
+        time_offset_s=camera.time_offset_s + deviation.stamp_offset_s,
+        depth_error=depth_error,
+        distortion=camera.distortion + deviation.distortion,
         intrinsics=replace(lens, fx=lens.fx * scale, fy=lens.fy * scale, cx=lens.cx + right, cy=lens.cy + down),
     )
 

@@ -30,6 +30,7 @@ from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, rotation_from_rpy
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.clock import in_use
 from sextant.shared.runtime.lateness import BEAT
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
@@ -63,7 +64,7 @@ class Simulator:
         """Build the world, with the robot standing at its start and torque on.
 
         Args:
-            profile: The robot.
+            profile: The robot, unless the scenario has another `real_robot`.
             settings: Settings of the simulator.
             scenario: Scenario that replaces the one of the settings.
 
@@ -75,9 +76,11 @@ class Simulator:
         self.trigger = Every(_BEAT_NS, by_machine=True)  # also ticks while simulated time stands still
         self.max_age_s = {BEAT: _STALE_NS * 1e-9}
         self.stages = Stages()
+        scenario = load_scenario(settings.scenario) if scenario is None else scenario
+        if scenario.real_robot:
+            profile = load_profile(scenario.real_robot)
         self._profile = profile
         self._settings = settings
-        scenario = load_scenario(settings.scenario) if scenario is None else scenario
         self._scenario = scenario
         seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(7)]
         terrain = build_terrain(scenario, seeds[0])
@@ -98,7 +101,8 @@ class Simulator:
             self.stages,
             settings.frames_per_picture,
         )
-        self._stamps = StampErrors(deviation, np.random.default_rng([settings.seed, 7]))
+        jitter = np.random.default_rng([settings.seed, 7])
+        self._stamps = StampErrors(real.camera.time_offset_s, deviation.stamp_jitter_s, jitter)
         self._imu = ImuSensor(ImuNoise().times(deviation.imu_bias), seeds[3])
         self._R_imu_body = rotation_from_rpy(np.radians(deviation.imu_rpy_deg)).T
         self._signs = profile.servo_signs

@@ -9,7 +9,7 @@ leg is stretched straight outward.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from functools import cache, cached_property
 from typing import Literal, NamedTuple
@@ -257,6 +257,8 @@ class Camera:
     roll_deg: float = 0.0  # [deg] about the line of sight; positive raises the camera's left side
     yaw_deg: float = 0.0  # [deg] left of body x
     time_offset_s: float = 0.0  # [s] from the exposure of an image to its stamp
+    depth_error: float = 0.0  # [1] relative error of the measured depth; positive: it is too large
+    distortion: float = 0.0  # [1] radial distortion k1 of Brown's model
     color: bool = False  # whether it also sends colour images
     # Driver on the robot: "openni2", "realsense", the path of a recorded folder, or "none".
     device: str = "none"
@@ -266,6 +268,7 @@ class Camera:
         *config.each("pitch_down_deg", lambda pitch: -45.0 <= pitch <= 90.0, "an angle from -45 (up) to 90 (straight down)"),
         *config.each("roll_deg yaw_deg", lambda angle: abs(angle) <= 180.0, "an angle from -180 to 180 deg"),
         *config.each("time_offset_s", lambda offset: abs(offset) <= 1.0, "at most 1 s either way"),
+        *config.each("depth_error distortion", lambda share: abs(share) <= 0.5, "at most 0.5 either way"),
         *config.each(
             "device", lambda device: device.strip() != "", '"openni2", "realsense", "none" or the path of a recorded folder'
         ),
@@ -273,6 +276,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @property
+    def rectified(self) -> "Camera":
+        """Camera of the same images after their distortion is removed, with true depth."""
+        true_scale = self.sensor.depth_scale * (1.0 + self.depth_error)
+        sensor = replace(self.sensor, depth_scale=true_scale) if self.depth_error else self.sensor
+        return replace(self, sensor=sensor, depth_error=0.0, distortion=0.0)
 
     @property
     def T_body_mount(self) -> Array:

@@ -7,22 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.robot.camera import Intrinsics
-from sextant.shared.scenario.mismatch import Deviation
+from sextant.shared.robot.profile import Camera
 
 
 class CameraErrors:
     """Applies the errors of one camera to its images."""
 
-    def __init__(self, intrinsics: Intrinsics, deviation: Deviation):
+    def __init__(self, camera: Camera, depth_bias: float):
         """Compute the map of the distortion.
 
         Args:
-            intrinsics: True intrinsics.
-            deviation: Errors.
+            camera: The true camera.
+            depth_bias: [1/m] error of the inverse depth.
         """
-        self._scale, self._bias = np.float32(1.0 / (1.0 + deviation.depth_scale)), np.float32(deviation.depth_bias)
-        self._is_exact = deviation.depth_scale == 0.0 and deviation.depth_bias == 0.0
-        self._seen_at = _undistorted_pixels(intrinsics, deviation.distortion) if deviation.distortion else None
+        self._scale, self._bias = np.float32(1.0 / (1.0 + camera.depth_error)), np.float32(depth_bias)
+        self._is_exact = camera.depth_error == 0.0 and depth_bias == 0.0
+        self._seen_at = _undistorted_pixels(camera.intrinsics, camera.distortion) if camera.distortion else None
 
     def depth(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the inverse depth (h, w) [1/m] that the camera measures; 0 without a surface."""

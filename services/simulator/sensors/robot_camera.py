@@ -54,7 +54,7 @@ class RobotCamera:
             dropouts=scenario.camera.dropouts,
             loss=scenario.camera.loss,
         )
-        self._errors = CameraErrors(profile.camera.intrinsics, scenario.deviation(seed))
+        self._errors = CameraErrors(profile.camera, scenario.deviation(seed).depth_bias)
         self._color_camera = ColorCamera(self._renderer, world.terrain, color_random) if profile.camera.color else None
         self._faults = [fault for fault in scenario.faults_at(seed) if fault.of_camera]
         self._effects: CameraFaults | None = None  # of faults of the picture, from the first of them on

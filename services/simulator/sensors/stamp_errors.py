@@ -5,7 +5,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sextant.shared.scenario.mismatch import Deviation
 from sextant.shared.wire.messages import ColorImage, DepthImage
 
 
@@ -16,9 +15,15 @@ class StampErrors:
     earlier than the exposure.
     """
 
-    def __init__(self, deviation: Deviation, rng: np.random.Generator):
-        """Begin without an image."""
-        self._offset_s, self._jitter_s, self._rng = deviation.stamp_offset_s, deviation.stamp_jitter_s, rng
+    def __init__(self, offset_s: float, jitter_s: float, rng: np.random.Generator):
+        """Begin without an image.
+
+        Args:
+            offset_s: [s] mean time from an exposure to its stamp.
+            jitter_s: [s] standard deviation of that time.
+            rng: Random generator.
+        """
+        self._offset_s, self._jitter_s, self._rng = offset_s, jitter_s, rng
         self._held: deque[tuple[int, DepthImage | ColorImage]] = deque()  # arrival [ns] and image
         self._newest_ns = -1
 

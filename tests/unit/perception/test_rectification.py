@@ -1,0 +1,40 @@
+"""Rectified images are those of a pinhole camera."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sextant.services.perception.rectification import Rectifier
+from sextant.services.simulator.sensors.camera_errors import CameraErrors
+from sextant.shared.robot.profiles import load_profile
+
+CAMERA = load_profile("phantomx_mk2").camera
+
+
+def test_rectified_image_of_a_distorted_plane_is_affine_again() -> None:
+    lens = CAMERA.intrinsics
+    u, v = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+    plane = (0.5 + 2e-4 * u + 1e-3 * v).astype(np.float32)  # [1/m] inverse depth
+    seen = CameraErrors(replace(CAMERA, distortion=0.1, depth_error=0.0), 0.0).depth(plane)
+    raw = np.where(seen > 0.0, np.rint(1000.0 / np.maximum(seen, 1e-3)), 0.0).astype(np.uint16)
+    found = Rectifier(lens, 0.1)(raw)
+    inside = found > 0
+    assert inside.mean() > 0.9
+    error = np.abs(1000.0 / found[inside] - plane[inside])
+    assert np.abs(1000.0 / raw[raw > 0] - plane[raw > 0]).max() > 5e-3
+    assert error.max() < 2.5e-3  # two pixels
+
+
+def test_without_distortion_and_for_another_size_the_image_stays() -> None:
+    raw = np.ones((CAMERA.intrinsics.height, CAMERA.intrinsics.width), dtype=np.uint16)
+    assert Rectifier(CAMERA.intrinsics, 0.0)(raw) is raw
+    small = raw[:10, :10]
+    assert Rectifier(CAMERA.intrinsics, 0.1)(small) is small
+
+
+def test_rectified_camera_measures_true_depth() -> None:
+    camera = replace(CAMERA, depth_error=0.02, distortion=0.01)
+    raw = 1.5 * (1.0 + camera.depth_error) * camera.sensor.depth_scale
+    assert raw / camera.rectified.sensor.depth_scale == 1.5
+    assert (camera.rectified.depth_error, camera.rectified.distortion) == (0.0, 0.0)
+    assert CAMERA.rectified == CAMERA
