@@ -1,5 +1,6 @@
 """Options and types of values that several commands share."""
 
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ _Function = Callable[..., Any]
 
 if TYPE_CHECKING:
     from sextant.shared.plugins.loading import Kind, Plugins
+    from sextant.shared.robot.profile import RobotProfile
     from sextant.shared.scenario.scenario import Link, Scenario
     from sextant.shared.wire.messages import GaitName
     from sextant.shared.wire.transport import Endpoints
@@ -257,3 +259,26 @@ def _radio(text: str) -> "Link":
         return Link(delay_ms, mbit, loss)
     except ValueError as error:
         raise InputError(f"--link: {error}") from None
+
+
+def own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
+    """Return the robot's own TOML, the profile it extends, and the current robot.
+
+    The base profile is needed where the TOML does not exist yet.
+    """
+    from sextant.shared.robot.profiles import load_profile
+
+    path = Path(out or (robot if robot.endswith(".toml") else f"my_{robot}.toml"))
+    if path.suffix != ".toml":  # `--robot` accepts only .toml files as profiles
+        raise InputError(f"--out: a file that ends in .toml expected, found {path}")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"--out: an existing, writable folder expected, found {path.parent.resolve()}")
+    base, profile = robot, load_profile(robot)
+    if robot.endswith(".toml"):
+        base = os.path.relpath(Path(robot).resolve(), path.resolve().parent)
+    if not path.exists():
+        return path, base, profile
+    own = load_profile(str(path))
+    if own.name != profile.name:
+        raise InputError(f"{path} is a {own.name}, {profile.name} expected; name it with --robot, or another file with --out")
+    return path, base, own

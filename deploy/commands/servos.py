@@ -2,7 +2,6 @@
 
 import errno
 import json
-import os
 import sys
 import threading
 import time
@@ -11,7 +10,6 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from dataclasses import dataclass
 from datetime import date
 from itertools import groupby
-from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -229,10 +227,11 @@ def set_id(bus: Bus) -> int:
 )
 def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose: tuple[float, float, float] | None) -> int:
     """Measure the horn offsets of each leg; write them to the robot's TOML file."""
-    from sextant.services.actuator.commissioning import calibration, calibration_file
+    from sextant.services.actuator.commissioning import calibration
+    from sextant.shared.robot import profile_file
     from sextant.shared.robot.profile import LEGS
 
-    path, base, profile = _own_file(bus.robot, out)
+    path, base, profile = options.own_file(bus.robot, out)
     known = [entry.leg for entry in profile.calibration]
     chosen = legs or [leg for leg in LEGS if leg not in known] or list(LEGS)
     angles = pose or calibration.STRAIGHT_OUT
@@ -247,7 +246,7 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
             line.at(line.rates[0]),
             profile,
             Terminal(yes),
-            lambda entry: say(f"{entry.leg}: written to {calibration_file.keep(path, entry, base) and path}"),
+            lambda entry: say(f"{entry.leg}: written to {profile_file.change(path, base, legs=(entry,)) and path}"),
             date.today(),
             legs=chosen,
             pose_deg=angles,
@@ -384,27 +383,6 @@ def _profile(robot: str) -> "RobotProfile":
     from sextant.shared.robot.profiles import load_profile
 
     return load_profile(robot)
-
-
-def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
-    """Return the robot's own TOML, the profile it extends, and the current robot.
-
-    The base profile is needed where the TOML does not exist yet.
-    """
-    path = Path(out or (robot if robot.endswith(".toml") else f"my_{robot}.toml"))
-    if path.suffix != ".toml":  # `--robot` accepts only .toml files as profiles
-        raise InputError(f"--out: a file that ends in .toml expected, found {path}")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"--out: an existing, writable folder expected, found {path.parent.resolve()}")
-    base, profile = robot, _profile(robot)
-    if robot.endswith(".toml"):
-        base = os.path.relpath(Path(robot).resolve(), path.resolve().parent)
-    if not path.exists():
-        return path, base, profile
-    own = _profile(str(path))
-    if own.name != profile.name:
-        raise InputError(f"{path} is a {own.name}, {profile.name} expected; name it with --robot, or another file with --out")
-    return path, base, own
 
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:

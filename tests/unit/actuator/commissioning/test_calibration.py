@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.commissioning import calibration, calibration_file
+from sextant.services.actuator.commissioning import calibration
 from sextant.services.actuator.commissioning.calibration import calibrate, implausible, trims_deg
 from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT, ServoNotRespondingError
 from sextant.shared.files import config
+from sextant.shared.robot import profile_file
 from sextant.shared.robot.profile import LEGS, Calibration, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
@@ -236,7 +237,7 @@ def test_file_keeps_last_calibration_per_leg_and_other_content(wild: list[Calibr
     text = 'extends = "phantomx_mk2"  # mine\n\n[stance]\nbody_height = 0.1  # higher\n'
     start = text
     for entry in wild:
-        text = calibration_file.with_entry(text, entry)
+        text = profile_file.with_calibration(text, entry)
     last = {entry.leg: config.as_table(entry) for entry in wild}
     table = tomllib.loads(text)
     assert {one["leg"]: one for one in table["calibration"]} == last
@@ -247,14 +248,15 @@ def test_file_keeps_last_calibration_per_leg_and_other_content(wild: list[Calibr
 def test_calibration_file_is_created_then_updated(tmp_path: Path) -> None:
     own = tmp_path / "mine.toml"
     first, second = Calibration(LEGS[0], TODAY, (1.0, 2.0, 3.0)), Calibration(LEGS[4], TODAY, (-1.0, 0.25, 19.99))
-    calibration_file.keep(own, first, "phantomx_mk2")
+    profile_file.change(own, "phantomx_mk2", legs=(first,))
     own.write_text(own.read_text() + "\n[stance]\nbody_height = 0.1  # mine\n[servo]  # none\n")
-    robot = calibration_file.keep(own, second, "lotriet_rx64")
+    robot = profile_file.change(own, "lotriet_rx64", legs=(second,))
     assert robot == load_profile(str(own))
     assert robot.calibration == (first, second)
     assert robot.stance.body_height == 0.1
     assert "# mine" in own.read_text()
-    assert calibration_file.keep(own, replace(first, trims_deg=(0.0, 0.0, 0.0)), "").calibration[1].trims_deg == (0.0, 0.0, 0.0)
+    straight = replace(first, trims_deg=(0.0, 0.0, 0.0))
+    assert profile_file.change(own, "", legs=(straight,)).calibration[1] == straight
     assert list(tmp_path.iterdir()) == [own]
 
 
@@ -273,14 +275,14 @@ def test_file_that_cannot_be_edited_safely_is_unchanged(text: str, words: str, t
     own = tmp_path / "mine.toml"
     own.write_text(text)
     with pytest.raises(config.ConfigError, match=words):
-        calibration_file.keep(own, Calibration(LEGS[0], TODAY, (1.0, 2.0, 3.0)), "phantomx_mk2")
+        profile_file.change(own, "phantomx_mk2", legs=(Calibration(LEGS[0], TODAY, (1.0, 2.0, 3.0)),))
     assert own.read_text() == text
     assert list(tmp_path.iterdir()) == [own]
 
 
 def test_unwritable_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(config.ConfigError, match="cannot be written: No such file or directory; give another file with --out"):
-        calibration_file.keep(tmp_path / "nowhere" / "mine.toml", Calibration(LEGS[0], TODAY, (1.0, 2.0, 3.0)), "phantomx_mk2")
+        profile_file.change(tmp_path / "nowhere" / "mine.toml", "phantomx_mk2")
 
 
 def test_straight_out_pose_is_valid_for_each_bundled_profile() -> None:

@@ -177,7 +177,7 @@ APART = {
     "deploy/live/live_run.py": "a log, line by line",
     "evaluation/viewers/file_export.py": "by the name that `write_by_name` gives",
     "evaluation/video/video_writer.py": "by the name that `write_by_name` gives",
-    "services/actuator/commissioning/calibration_file.py": "whole, once it has been read as a robot",
+    "shared/robot/profile_file.py": "whole, once it has been read as a robot",
     "services/actuator/safety/torque_off_latch.py": "whole, or as an empty file, by the stop path",
     "services/actuator/safety/walk_authorization.py": "whole, in memory",
     "services/actuator/servo_bus/usb_adapter.py": "the kernel's own files",
