@@ -42,6 +42,8 @@ RUN_BY = {
     "run --lockstep": "tests/walk/test_walks.py::test_walk_over_low_blocks_and_two_stairs",
     "run --lockstep --bridge": "tests/walk/test_bridge.py::test_walk_through_mcu_bridge_matches_walk_on_bus",
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_ripple_gait_climbs_two_stairs",
+    "camera calibrate": "tests/walk/test_calibration.py::test_command_calibrates_a_simulated_robot_into_its_own_file",
+    "benchmarks calibration": "tests/walk/test_calibration.py::test_command_calibrates_a_simulated_robot_into_its_own_file",
     "benchmarks link": "tests/live/test_link.py::test_robot_holds_during_radio_outage_and_resumes",
     "run --lockstep --set": "tests/unit/evaluation/test_params.py::test_run_reports_parameters_of_its_command",
     "run --lockstep --foothold": "tests/walk/test_plugins.py::test_example_plugins_walk_to_the_goal",
@@ -132,7 +134,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def way_of_running(words: list[str]) -> str:
     """Return the key in RUN_BY of a `sextant` command."""
     pairs = (["trials", "all"], ["trials", "passages"], ["trials", "troubles"], ["trials", "table"], ["demo", "gap"])
-    groups = ("topics", "benchmarks", "servos", "keys", "recording", "service", "robot")
+    groups = ("topics", "benchmarks", "servos", "keys", "recording", "service", "robot", "camera")
     group = words[:2] if words[0] in groups or words[:2] in pairs else words[:1]
     ways = [
         word

@@ -156,6 +156,23 @@ def bench_cycle(scenario: str, seeds: range, cycles: int, out: str | None, as_js
     return _tell_bench(actuator_cycle.in_words(found), actuator_cycle.to_json(found), folder / "cycle.json", as_json)
 
 
+@benchmarks.command("calibration")
+@option("--scenario", "ground and deviations of the robots", "NAME", default="flat+harsh")
+@option("--seeds", "seeds of the robots, B not included", "A:B", type=Parsed(options.seeds, "seeds"), default="1000:1010")
+@options.jobs
+@options.out
+@options.as_json
+def bench_calibration(scenario: str, seeds: range, jobs: int, out: str | None, as_json: bool) -> int:
+    """Calibrate simulated robots that differ from their profile, and compare with the truth."""
+    from benchmarks.robot import calibration
+    from sextant.shared.scenario.scenario import load_scenario
+
+    load_scenario(scenario)  # a wrong name is reported before anything starts
+    folder = out_folder(out, "bench-calibration")
+    found = calibration.measure(scenario, seeds, jobs, open_progress(as_json).say)
+    return _tell_bench(calibration.in_words(found), calibration.to_json(scenario, found), folder / "calibration.json", as_json)
+
+
 @benchmarks.command("slow-core")
 @option("--scenario", "course of the walk", "NAME", default="steps")
 @option("--share", "share of a core for the actuator", "S", type=number(0.2, 1.0, "share"), default=0.2)

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from sextant.deploy.live.send_command import Order, What
     from sextant.shared.wire.transport import Endpoints
 
-_LOOK_S = 0.05
-
 
 @command()
 @argument(
@@ -40,16 +38,16 @@ def order(what: "What", connection: options.Connection, holder: str, take: bool)
     refused = endpoints.keys.refusal([topics.MODE]) if endpoints.keys is not None else ""
     if refused and what not in STOPS:
         raise InputError(refused)
-    given = Order(what, holder or _whoever_this_is(), take, leads=not refused)
+    given = Order(what, holder or client_name(), take, leads=not refused)
     try:
-        return _give(given, what, endpoints)
+        return _give(given, endpoints)
     except TransportError as error:
         if what != "off":
             raise
         raise TransportError(f"{error} On the robot, `sextant servos off --port PORT` needs no actuator.") from None
 
 
-def _whoever_this_is() -> str:
+def client_name() -> str:
     """Return "USER at MACHINE" as holder of the lease."""
     try:
         user = getpass.getuser()
@@ -58,34 +56,14 @@ def _whoever_this_is() -> str:
     return f"{user} at {socket.gethostname()}"
 
 
-def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
+def _give(given: "Order", endpoints: "Endpoints") -> int:
     """Send an order until it has a result, or the operator interrupts."""
-    import threading
+    from sextant.deploy.live.client_run import run_client
 
-    from sextant.deploy.terminal.interrupts import Interrupts
-    from sextant.shared.runtime.zenoh_runner import run_live
-    from sextant.shared.wire import codec, topics
-    from sextant.shared.wire.transport import ZenohLink
-
-    stop, told = threading.Event(), ""
-    with Interrupts() as interrupts, ZenohLink(endpoints) as link:
-        running = threading.Thread(target=run_live, args=(given, link, stop), kwargs={"role": endpoints.role}, name="order")
-        running.start()
-        try:
-            while not given.finished and not interrupts.asked():
-                if given.status() != told:
-                    told = given.status()
-                    say(told)
-                stop.wait(_LOOK_S)
-        finally:
-            stop.set()
-            running.join()
-        if not given.finished:
-            withdrawn = given.withdraw() if what == "walk" else ()
-            for message in withdrawn:
-                link.send(topics.OF_TYPE[type(message)], codec.encode(message))
-            complain(f"stopped by the operator{': the feet are set down' if withdrawn else ''}")
-            return INTERRUPTED
+    withdrawn = run_client(given, endpoints, say)
+    if withdrawn is not None:
+        complain(f"stopped by the operator{': the feet are set down' if withdrawn else ''}")
+        return INTERRUPTED
     if given.failed:
         raise CommandError(f"the robot at {', '.join(endpoints.connect)}, namespace {endpoints.namespace}: {given.failed}")
     say(given.status())

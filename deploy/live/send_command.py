@@ -66,8 +66,8 @@ class Order:
         return self.failed or self.words
 
     def withdraw(self) -> tuple[Message, ...]:
-        """Return the messages that end an order to walk; none if it was never sent."""
-        if self._number < 0:
+        """Return the messages that end an order to walk; none for another one, or if it was never sent."""
+        if self._number < 0 or self._what != "walk":
             return ()
         now_ns = self._robot()
         return (

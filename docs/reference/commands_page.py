@@ -24,7 +24,7 @@ _OF_SEXTANT = (  # end of a page's name, its title and its commands
     ("robot", "operation of a robot", ("up", "fleet", "order", "service", "doctor")),
     ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
     ("network", "topics and certificates", ("keys", "topics")),
-    ("hardware", "servos and robot profiles", ("robot", "servos")),
+    ("hardware", "servos, camera and robot profiles", ("robot", "servos", "camera")),
 )
 _BENCHMARKS = """# Benchmarks
 
@@ -37,7 +37,7 @@ options of the benchmark.
 _OF_BENCHMARKS = (
     ("algorithms", "accuracy and speed of algorithms", ("accuracy", "speed", "stages", "plans", "passage")),
     ("attacks", "attacks", ("access", "strangers", "roles", "fuzz")),
-    ("robot", "servos and faults of the robot", ("servos", "bus", "cycle", "slow-core", "start", "faults")),
+    ("robot", "servos and faults of the robot", ("servos", "bus", "cycle", "calibration", "slow-core", "start", "faults")),
     ("system", "radio, load and resources", ("fleet", "link", "page", "recording", "soak", "size")),
 )
 

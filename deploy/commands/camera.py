@@ -1,0 +1,68 @@
+"""`sextant camera`: calibrate the camera and the legs of a robot."""
+
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sextant.deploy.commands import options
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, complain, say
+from sextant.deploy.commands.order import client_name
+from sextant.deploy.terminal.arguments import Group, option
+
+if TYPE_CHECKING:
+    from sextant.evaluation.lockstep.calibration_run import Rehearsal
+    from sextant.services.perception.calibration.calibrated_robot import CalibratedRobot
+    from sextant.shared.robot.profile import RobotProfile
+
+camera = Group("camera", "Calibrate the depth camera, and the legs with it.")
+
+
+@camera.command("calibrate")
+@options.robot
+@options.connection
+@option("--out", "TOML file to write (default: that of --robot, or my_NAME.toml for a profile)", "FILE")
+@option("--rehearse", "scenario by name or TOML file, e.g. flat+harsh: calibrate its simulated robot instead", "SCENARIO")
+@options.seed
+def calibrate(robot: str, connection: options.Connection, out: str | None, rehearse: str | None, seed: int) -> int:
+    """Measure mount, depth error and delay of the camera, and the horns: the robot moves its body over a flat floor."""
+    from sextant.services.perception.calibration.calibrated_robot import calibrate as calibrated
+    from sextant.services.perception.calibration.survey import Survey
+
+    path, base, profile = options.own_file(robot, out)
+    if rehearse is not None:
+        found = _rehearsed(rehearse, robot, seed)
+        status = _finish(found.robot, profile, path, base)
+        errors = ", ".join(f"{name} {error:.4g}" for name, error in found.errors.items())
+        say(f"errors of this result, which only the simulator knows [deg, m, 1, s]: {errors}")
+        return status
+    from sextant.deploy.live.client_run import run_client
+
+    survey = Survey(profile, client_name())
+    if run_client(survey, connection.endpoints(), say) is not None:
+        complain("stopped by the operator; nothing was measured")
+        return INTERRUPTED
+    say(f"{survey.reason}; computing")
+    return _finish(calibrated(profile, survey), profile, path, base)
+
+
+def _rehearsed(name: str, robot: str, seed: int) -> "Rehearsal":
+    """Calibrate the simulated robot of a scenario, which is the real one, with the profile of --robot."""
+    from dataclasses import replace
+
+    from sextant.evaluation.lockstep.calibration_run import rehearse
+    from sextant.shared.scenario.scenario import load_scenario
+
+    scenario = load_scenario(name)
+    return rehearse(replace(scenario, robot=robot, real_robot=scenario.real_robot or scenario.robot), seed, say)
+
+
+def _finish(found: "CalibratedRobot", profile: "RobotProfile", path: Path, base: str) -> int:
+    """Print a result, and write it to the robot's file unless it is refused."""
+    for line in found.lines(profile):
+        say(line)
+    if found.refusals:
+        complain(f"not written: {'; '.join(found.refusals)}")
+        return FAILED
+    found.write(path, base, date.today())
+    say(f"{path}: written; restart the robot's services with --robot {path}")
+    return SUCCESS

@@ -1,0 +1,183 @@
+"""Calibration motion: the robot stands, moves its body through postures, and measures floor and joints meanwhile."""
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from sextant.services.perception.calibration.floor_view import FloorView, block_centres, floor_view
+from sextant.services.perception.calibration.kinematic_calibration import JointTrack, Recording
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profile import Camera, RobotProfile
+from sextant.shared.runtime.robot_clock import RobotClockEstimate
+from sextant.shared.runtime.service import Every, Inbox, Stages
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, PostureCommand, Tick
+
+POSTURES = 36
+_LARGEST = np.array([0.035, 0.035, 0.03, *np.radians([11.0, 11.0, 14.0])])  # [m] and [rad] of a posture
+_INSIDE = 0.9  # share of the reach that a posture may use
+_SETTLE_NS = 400_000_000  # [ns] at rest before the next posture
+_VIEW_NS = 90_000_000  # [ns] minimum time between two depth images that are used
+_ORDER_NS = 500_000_000  # [ns] interval of repeated orders
+_READ_NS = 4_000_000  # [ns] mean time from the reading of a joint to the stamp of its state: servos are read one by one
+_PATIENCE_NS = 15_000_000_000  # [ns] for one posture
+_RISE_NS = 30_000_000_000  # [ns] for standing up, and until perception has a pose
+
+
+def postures(profile: RobotProfile) -> Array:
+    """Return the postures (POSTURES, 6) [m] and [rad] of a calibration: place, roll, pitch and yaw from the rest pose.
+
+    They spread over all six directions, in a Halton sequence, as far as the legs reach.
+    """
+    spread = 2.0 * np.stack([_halton(POSTURES, base) for base in (2, 3, 5, 7, 11, 13)], axis=1) - 1.0
+    spread /= np.abs(spread).max(axis=1, keepdims=True)  # on the faces of the cube
+    return np.array([_INSIDE * _within_reach(profile, _LARGEST * direction) for direction in spread])
+
+
+def _within_reach(profile: RobotProfile, posture: Array) -> Array:
+    """Return the largest share of a posture that all legs reach."""
+    rest = profile.rest_feet()
+    for share in np.arange(1.0, 0.0, -0.05):
+        T_rest_body = from_xyz_rpy(share * posture[:3], share * posture[3:])
+        if within_limits(profile, body_inverse(profile, apply(inverse(T_rest_body), rest))).all():
+            return np.asarray(share * posture)
+    return np.zeros(6)
+
+
+def _halton(n: int, base: int) -> Array:
+    """Return the first numbers (n,) of the Halton sequence of a base."""
+    numbers = np.zeros(n)
+    for i in range(n):
+        index, share = i + 1, 1.0 / base
+        while index > 0:
+            numbers[i] += share * (index % base)
+            index, share = index // base, share / base
+    return numbers
+
+
+class Survey:
+    """Operator that leads a robot through the postures of a calibration, and records what it measures."""
+
+    name = "operator"
+    subscribes = (topics.DEPTH, topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.BODY_POSE)
+    publishes = (topics.POSTURE, topics.MODE)
+
+    def __init__(self, profile: RobotProfile, holder: str = "operator"):
+        """Prepare the motion.
+
+        Args:
+            profile: The robot.
+            holder: Name under which this operator leads.
+        """
+        self.trigger = Every.hz(topics.DEPTH.rate_hz)
+        self.stages = Stages()
+        self.finished = False
+        self.reason = ""  # why it is finished, as text
+        self.reached = 0  # postures that the robot had
+        self.refusal = ""  # why the last posture that it did not have was refused
+        self._profile, self._holder = profile, holder
+        self._robot = RobotClockEstimate()
+        self._postures = [*postures(profile), np.zeros(6)]  # the robot ends in its rest pose
+        self._number = -1  # of the current posture; -1: standing up
+        self._order: Literal["stand", "walk"] = "stand"
+        self._given_ns, self._order_due_ns = -1, 0
+        self._began_ns = self._settled_ns = -1  # when the posture was commanded, and since when the body rests
+        self._views: list[FloorView] = []
+        self._numbers: list[int] = []
+        self._states: list[ActuatorState] = []
+
+    def status(self) -> str:
+        """Return the progress as text."""
+        if self.reason:
+            return self.reason
+        return "standing up" if self._number < 0 else f"posture {self._number + 1} of {len(self._postures)}"
+
+    def recording(self) -> Recording | None:
+        """Return what was measured; None if the robot was in no posture."""
+        if not self._views or not self.reached:
+            return None
+        stamps, q, contact = zip(*((state.stamp_ns, state.q, state.contact) for state in self._states), strict=True)
+        return Recording(
+            self._views, np.array(self._numbers), JointTrack(np.array(stamps) - _READ_NS, np.array(q), np.array(contact))
+        )
+
+    def withdraw(self) -> tuple[Message, ...]:
+        """Return the message that stops the robot before the end; none if it was never ordered to move."""
+        return () if self._given_ns < 0 else (ModeCommand(self._robot(), "stop", self._robot(), self._holder),)
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Note the measurements, and command the next posture."""
+        now, state = tick.stamp_ns, inbox.latest(topics.ACTUATOR_STATE)
+        self._robot.see(now, None if state is None else state.stamp_ns)
+        if self._began_ns < 0:
+            self._began_ns = now
+        if not self.finished:
+            self._advance(now, state, inbox)
+        if state is None or not self._robot.known:
+            return
+        if self._number >= 0 and not self.finished:
+            self._note(state, inbox)
+            posture = self._postures[self._number]
+            yield PostureCommand(self._robot(), posture[:3], posture[3:])
+        if now >= self._order_due_ns:
+            self._given_ns = self._robot() if self._given_ns < 0 else self._given_ns
+            self._order_due_ns = now + _ORDER_NS
+            yield ModeCommand(self._robot(), self._order, self._given_ns, self._holder)
+
+    def _advance(self, now: int, state: ActuatorState | None, inbox: Inbox) -> None:
+        """Go on to the next posture once the body rests in this one, or cannot reach it."""
+        if self._order == "stand":
+            if state is not None and state.mode is Mode.HOLD and inbox.latest(topics.BODY_POSE) is not None:
+                self._order, self._given_ns, self._order_due_ns = "walk", -1, 0
+                self._number, self._began_ns = 0, now
+            elif now - self._began_ns > _RISE_NS:
+                mode = "silent" if state is None else f"in mode {state.mode}: {state.reason}"
+                self._finish(f"the robot does not stand with a pose from perception; its actuator is {mode}")
+            return
+        status = inbox.fresh(topics.PLANNER_STATUS)
+        ended = status is not None and status.state in ("arrived", "blocked") and now - self._began_ns > _SETTLE_NS
+        if not ended:
+            self._settled_ns = -1
+            if now - self._began_ns > _PATIENCE_NS:
+                self._finish(f"posture {self._number + 1} is not reached: {'no planner' if status is None else status.reason}")
+            return
+        assert status is not None
+        if self._settled_ns < 0:
+            self._settled_ns = now
+        if now - self._settled_ns < _SETTLE_NS:
+            return
+        if status.state == "arrived":
+            self.reached += 1
+        else:
+            self.refusal = status.reason
+        self._number, self._began_ns, self._settled_ns = self._number + 1, now, -1
+        if self._number == len(self._postures):
+            self._finish("all postures measured")
+
+    def _finish(self, reason: str) -> None:
+        self.finished, self.reason = True, reason
+
+    def _note(self, state: ActuatorState, inbox: Inbox) -> None:
+        """Keep the newest joint angles and the newest view of the floor."""
+        if not self._states or state.stamp_ns > self._states[-1].stamp_ns:
+            self._states.append(state)
+        image = inbox.latest(topics.DEPTH)
+        if image is None or (self._views and image.stamp_ns - self._views[-1].stamp_ns < _VIEW_NS):
+            return
+        camera = self._profile.camera
+        expected = expected_floor(camera, state.feet - [0.0, 0.0, self._profile.foot.radius])
+        self._views.append(floor_view(image.stamp_ns, image.depth, camera, expected))
+        self._numbers.append(self._number)
+
+
+def expected_floor(camera: Camera, soles: Array) -> Array:
+    """Return the inverse depth (blocks,) [1/m] of the plane of soles (6, 3) [m] {body}; NaN beyond the camera's range."""
+    lens = camera.intrinsics
+    u, v = block_centres(lens)
+    centre = soles.mean(axis=0)
+    normal = np.linalg.svd(soles - centre)[2][2]
+    rays = camera.T_body_camera[:3, :3] @ np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(len(u))])
+    w = -(normal @ rays) / (normal @ (camera.T_body_camera[:3, 3] - centre))
+    return np.where(w > 1.0 / camera.sensor.max_range, w, np.nan)
