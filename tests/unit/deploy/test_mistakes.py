@@ -87,6 +87,9 @@ MISTAKES = [
     ("--version=3", "option '--version' does not take a value"),
     ("topics lst", "unknown command 'lst'; did you mean 'list'?"),
     ("servos calibarte", "unknown command 'calibarte'; did you mean 'calibrate'?"),
+    ("camera calibrat", "unknown command 'calibrat'; did you mean 'calibrate'?"),
+    ("camera calibrate --out robot.txt", "--out: a file that ends in .toml expected, found robot.txt"),
+    ("camera calibrate --rehearse flt", "did you mean 'flat'?"),
     ("keys shwo here", "did you mean 'show'?"),
     ("demo step", "did you mean 'steps'?"),
     ("up onbord", "did you mean 'onboard'?"),
@@ -234,7 +237,7 @@ CASES = [*(("sextant", *case) for case in MISTAKES), *((benchmarks.PROGRAM, *cas
 
 
 def test_mistakes_cover_every_command() -> None:
-    groups = {"topics", "servos", "keys", "recording", "service"}
+    groups = {"topics", "servos", "camera", "keys", "recording", "service"}
     made = {line.split()[0] for line, _ in MISTAKES if line}
     shown = {name for name, one in cli.sextant.commands.items() if not one.hidden}
     assert shown <= made

@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 from sextant.deploy import cli
+from sextant.deploy.live import client_run
 from sextant.deploy.live.send_command import Order
-from sextant.shared.runtime import zenoh_runner
-from sextant.shared.wire import transport
 
 
 def test_refusal_names_the_robot_that_was_asked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -18,8 +17,8 @@ def test_refusal_names_the_robot_that_was_asked(monkeypatch: pytest.MonkeyPatch,
         order.finished = True
         stop.wait()
 
-    monkeypatch.setattr(transport, "ZenohLink", lambda _: contextlib.nullcontext())
-    monkeypatch.setattr(zenoh_runner, "run_live", refuse)
+    monkeypatch.setattr(client_run, "ZenohLink", lambda _: contextlib.nullcontext())
+    monkeypatch.setattr(client_run, "run_live", refuse)
     assert cli.main(["order", "stand", "--connect", "tcp/127.0.0.1:1", "--namespace", "alpha"]) == 1
     refused = "sextant order: the robot at tcp/127.0.0.1:1, namespace alpha: `stand` of me refused: you holds the lease"
     assert capsys.readouterr().err.splitlines()[-1] == refused
