@@ -88,11 +88,16 @@ class Perception:
             image = replace(image, stamp_ns=self._exposed_ns(image))
         if self._frames % self._every:
             if self._coloring is not None:
-                self._keep_for_color(replace(image, depth=self._rectify(image.depth)), self._coloring)
+                self._keep_for_color(self._rectified(image), self._coloring)
             return
-        image = replace(image, depth=self._rectify(image.depth))
+        image = self._rectified(image)
         yield from self._pose_and_scan(image, inbox)
         yield from self._preview(image, inbox)
+
+    def _rectified(self, image: DepthImage) -> DepthImage:
+        """Return an image without distortion."""
+        depth = self._rectify(image.depth)
+        return image if depth is image.depth else replace(image, depth=depth)
 
     def _exposed_ns(self, image: DepthImage | ColorImage) -> int:
         """Return the time [ns] at which an image was exposed."""

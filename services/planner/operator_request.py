@@ -14,7 +14,7 @@ _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] changes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OperatorRequest:
-    """What the operator requests now: a velocity command, else a posture, else a goal."""
+    """The operator's current request: a velocity command, else a posture, else a goal."""
 
     command: VelocityCommand | None
     posture: PostureCommand | None  # None if there is a command

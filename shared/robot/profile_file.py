@@ -52,7 +52,7 @@ def change(path: Path, base: str, tables: Mapping[str, Values] | None = None, le
 
 
 def with_values(text: str, table: str, values: Values) -> str:
-    """Return a profile's text with values of a table set, each on a line of its own."""
+    """Return a profile's text with new values of a table, one per line."""
     header = re.search(rf"^\[{re.escape(table)}\][^\n]*\n", text, re.MULTILINE)
     if header is None:
         lines = "".join(f"{key} = {_toml(value)}\n" for key, value in values.items())

@@ -404,7 +404,9 @@ class StepPlan(Message):
 class PlannerStatus(Message):
     """State of the planner and the reason for it; planner -> operator, console."""
 
-    state: Literal["waiting", "resting", "stepping", "blocked", "arrived"]  # arrived: at the goal, with all legs at rest
+    state: Literal[
+        "waiting", "resting", "stepping", "blocked", "arrived"
+    ]  # arrived: at the goal or in the commanded posture, with all legs at rest
     reason: str  # of this state
     step: int
     moved_footholds: int  # touchdowns of the newest plan that differ from their nominal position

@@ -16,10 +16,10 @@ from sextant.shared.robot import profile_file
 from sextant.shared.robot.profile import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, Camera, RobotProfile
 
 _MIN_POSTURES = 20
-_MIN_BLOCKS, _MIN_SEEN = 20, 0.7  # blocks of pixels with floor in an image, and share of the images that have as many
-_MAX_FEET_M = 0.001  # [m] standard deviation of the feet's heights over the floor
+_MIN_BLOCKS = 20  # blocks of pixels that show the floor in a useful image
+_MIN_SEEN, _MIN_STANDING = 0.7, 0.3  # shares of the images that show enough floor, and in which enough legs stand
 _MAX_FLOOR = 0.004  # [1/m] standard deviation of the inverse depth of the floor
-_MAX_SURPRISE = 4.0  # [sigma] by which the slope of the floor in view may contradict a flat floor
+_MAX_SURPRISE = 3.0  # [sigma] by which the floor may contradict a flat one
 _MAX_ANGLE_DEG, _MAX_PLACE_M, _MAX_SCALE, _MAX_DELAY_S = 0.7, 0.006, 0.015, 0.006  # standard deviations of the camera's numbers
 _MAX_TRIM_SIGMA_DEG = 1.5  # of a leg's horns
 
@@ -33,7 +33,7 @@ class CalibratedRobot:
     """Camera and horns of one robot."""
 
     camera: Camera
-    camera_sigma: dict[str, float]  # standard deviations, by name with unit
+    camera_sigma: dict[str, float]  # standard deviations: [deg] of the angles, x, y, z [m], depth_error [1], time_offset_s [s]
     trims_deg: Array  # (6, 3) [deg] of all horns
     trims_sigma_deg: Array  # (6, 3) [deg]
     estimate: Estimate
@@ -98,10 +98,17 @@ class CalibratedRobot:
         known = self.known_legs
         for leg, name in enumerate(LEGS):
             if leg not in known:
-                yield f"{name}: its horns stay as they are, it stood on the floor too rarely; calibrate again to measure them"
+                yield f"{name}: its horns stay as they are: {self._unknown_reason(leg)}"
                 continue
             pairs = zip(JOINTS, self.trims_deg[leg], self.trims_sigma_deg[leg], strict=True)
             yield f"{name}: horns off by " + ", ".join(f"{j} {trim:.1f} +- {2 * s:.1f}" for j, trim, s in pairs) + " deg"
+
+    def _unknown_reason(self, leg: int) -> str:
+        """Return why the horns of a leg are not written."""
+        off = float(np.abs(self.trims_deg[leg]).max())
+        if off > MAX_TRIM_DEG:
+            return f"one is off by {off:.0f} deg, at most {MAX_TRIM_DEG:g} deg expected; mount it straight, and calibrate again"
+        return "it stood on the floor too rarely; calibrate again"
 
 
 def calibrate(profile: RobotProfile, survey: Survey) -> CalibratedRobot:
@@ -112,11 +119,12 @@ def calibrate(profile: RobotProfile, survey: Survey) -> CalibratedRobot:
         survey: The finished survey.
 
     Raises:
-        CalibrationError: The survey ended before the postures, or no image of it shows the floor.
+        CalibrationError: The survey ended before all postures, or too few of its images are useful.
     """
     recording = survey.recording()
-    problems = [survey.reason] if recording is None else list(_view_problems(recording))
-    if recording is None or problems:
+    if recording is None:
+        raise CalibrationError(f"the motion ended early: {survey.reason}")
+    if problems := list(_view_problems(recording)):
         raise CalibrationError("; ".join(problems))
     estimate = kinematic_calibration.estimate(profile, recording)
     angles, camera = np.degrees(estimate.sigma("rotation")), _camera(profile.camera, estimate)
@@ -175,6 +183,12 @@ def _view_problems(recording: Recording) -> Iterator[str]:
             f"the camera sees enough floor in {share:.0%} of the images, at least {_MIN_SEEN:.0%} expected: "
             "clear the floor ahead of the robot for 1.5 m"
         )
+    standing = kinematic_calibration.standing_share(recording)
+    if standing < _MIN_STANDING:
+        yield (
+            f"at least {kinematic_calibration.MIN_LEGS} legs carry load in {standing:.0%} of the images, "
+            f"at least {_MIN_STANDING:.0%} expected: place the robot on a flat, hard floor"
+        )
 
 
 def _refusals(survey: Survey, estimate: Estimate, sigma: dict[str, float]) -> Iterator[str]:
@@ -188,10 +202,11 @@ def _refusals(survey: Survey, estimate: Estimate, sigma: dict[str, float]) -> It
             f"the floor in view is tilted against the floor below the feet, by about {np.abs(slope).max():.1f} deg or more: "
             "place the robot on a flat floor"
         )
-    if estimate.sigma_feet[2] > _MAX_FEET_M:
+    heights, surprise = 1e3 * estimate.of("feet")[2::3], estimate.surprise("feet")[2::3]
+    if surprise.max() > _MAX_SURPRISE:
         yield (
-            f"the feet do not stand on one plane: their heights differ by {1e3 * estimate.sigma_feet[2]:.1f} mm, at most "
-            f"{1e3 * _MAX_FEET_M:g} mm expected: place the robot on a flat, hard floor"
+            f"the feet do not stand on one plane, their heights differ by {np.ptp(heights):.1f} mm or more: "
+            "place the robot on a flat, hard floor"
         )
     if estimate.sigma_w > _MAX_FLOOR:
         yield (

@@ -1,9 +1,8 @@
 """Batch calibration of the camera and the legs of a robot that moves its body over standing feet on a flat floor.
 
-Maximum likelihood over all numbers at once, after Bloesch et al., ICRA 2013 ("Kinematic batch calibration for legged robots"),
-with the floor in the depth images in place of their motion capture. For each image there is an unknown body pose. The joint
-angles of six standing legs and the inverse depth of the floor measure it. The frame of the batch, {floor}, has its x-y plane on
-the floor below the feet.
+All numbers of the robot and the body pose at each image are estimated together, with maximum likelihood, as in Bloesch et al.,
+ICRA 2013 ("Kinematic batch calibration for legged robots"). The joint angles of the standing legs and the inverse depth of the
+floor measure these poses; an IMU is not needed. The frame of the batch, {floor}, has its x-y plane on the floor below the feet.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +46,7 @@ _SIGMA_W = 0.004  # [1/m] first guess of the errors of a block's mean inverse de
 _REWEIGHTINGS = 5
 # [1] by which errors are larger than those of independent measurements: slip and backlash are correlated between postures
 _CORRELATION = 1.5
-_MIN_LEGS = 4  # that stand in a view
+MIN_LEGS = 4  # that stand in a view
 _UNKNOWN = 20.0  # [1] freedom of the feet's errors along one axis that trims, links and places of the feet take
 _DELAY_STEP_S = 0.005  # [s] of the numerical derivative by the delay: joint angles are interpolated
 _OUTLIER = 4.0  # [sigma] beyond which a block of pixels is not floor
@@ -74,7 +73,7 @@ class JointTrack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What a robot measured while it moved its body."""
+    """Measurements of a robot that moves its body."""
 
     views: Sequence[FloorView]
     posture: NDArray[np.int64]  # (views,) number of the posture that the robot had or moved to
@@ -99,7 +98,7 @@ class Estimate:
         return np.asarray(_CORRELATION * np.sqrt(np.diag(self.covariance)[_SLICES[name]]))
 
     def with_exact_links(self) -> "Estimate":
-        """Return the estimate if the links have the lengths of the profile, for users that cannot have others."""
+        """Return the estimate under the condition that all links have the lengths of the profile."""
         C, links = self.covariance, _SLICES["links"]
         gain = np.linalg.solve(C[links, links], C[links]).T
         values, covariance = self.values - gain @ self.of("links"), C - gain @ C[links]
@@ -127,6 +126,12 @@ def estimate(profile: RobotProfile, recording: Recording) -> Estimate:
     return Estimate(x, np.asarray(np.linalg.inv(information), dtype=np.float64), *sigma)
 
 
+def standing_share(recording: Recording) -> float:
+    """Return the share of the images in which enough legs stand."""
+    stamps = np.array([view.stamp_ns for view in recording.views], dtype=np.float64)
+    return float((recording.joints.stands(stamps).sum(axis=1) >= MIN_LEGS).mean())
+
+
 class _Problem:
     """Residuals of a recording: of the feet against the floor, and of the floor in the images."""
 
@@ -138,7 +143,7 @@ class _Problem:
         self._joints = recording.joints
         stamps = np.array([view.stamp_ns for view in recording.views]) - 1e9 * self._camera.time_offset_s
         stands = self._joints.stands(stamps)
-        used = stands.sum(axis=1) >= _MIN_LEGS
+        used = stands.sum(axis=1) >= MIN_LEGS
         self._stamps, self._stands = stamps[used], stands[used]
         self._seen = np.array([view.inverse_depth for view in recording.views])[used]
         posture = recording.posture[used]
@@ -158,7 +163,7 @@ class _Problem:
         return np.array([align_rigid(feet, self._feet) for feet in self._feet_body])
 
     def of_feet(self, x: Array, poses: Array) -> Array:
-        """Return the errors (views, 18) [m] {floor} of the feet: where the legs put them, from where they stand."""
+        """Return the errors (views, 18) [m] {floor} of the feet by the joint angles; 0 for feet in the air."""
         R, p = poses[:, :3, :3], poses[:, :3, 3]
         q = self._joints.at(self._stamps - 1e9 * x[_SLICES["delay"]]).reshape(-1, 6, 3) - x[_SLICES["trims"]].reshape(6, 3)
         coxa, femur, tibia = (self._links + x[_SLICES["links"]].reshape(6, 3)).T
@@ -284,9 +289,9 @@ class _NormalEquations:
 def _normal_equations(problem: _Problem, x: Array, poses: Array, sigma: _Sigma) -> _NormalEquations:
     views = len(poses)
     prior = 1.0 / _prior() ** 2
-    equations = _NormalEquations(
-        np.zeros((views, 6, 6)), np.zeros((views, 6, SIZE)), np.diag(prior), np.zeros((views, 6)), -prior * x
-    )
+    # Each pose is known within 1 m and 1 rad: nothing else may measure it once its feet turn out to be in the air.
+    known = np.tile(np.eye(6), (views, 1, 1))
+    equations = _NormalEquations(known, np.zeros((views, 6, SIZE)), np.diag(prior), np.zeros((views, 6)), -prior * x)
     images = problem.of_images(x, poses)
     seen = np.isfinite(images)
     for errors, by_pose, by_numbers, numbers, precision in (

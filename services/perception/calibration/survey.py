@@ -21,6 +21,7 @@ _INSIDE = 0.9  # share of the reach that a posture may use
 _SETTLE_NS = 400_000_000  # [ns] at rest before the next posture
 _VIEW_NS = 90_000_000  # [ns] minimum time between two depth images that are used
 _ORDER_NS = 500_000_000  # [ns] interval of repeated orders
+_STANDING_NS = 1_500_000_000  # [ns] of standing before the first posture; the order to stand has then been executed
 _READ_NS = 4_000_000  # [ns] mean time from the reading of a joint to the stamp of its state: servos are read one by one
 _PATIENCE_NS = 15_000_000_000  # [ns] for one posture
 _RISE_NS = 30_000_000_000  # [ns] for standing up, and until perception has a pose
@@ -84,6 +85,7 @@ class Survey:
         self._order: Literal["stand", "walk"] = "stand"
         self._given_ns, self._order_due_ns = -1, 0
         self._began_ns = self._settled_ns = -1  # when the posture was commanded, and since when the body rests
+        self._epoch, self._standing_ns = -1, 0  # of {odom} during the motion, and since when the robot stands by this order
         self._views: list[FloorView] = []
         self._numbers: list[int] = []
         self._states: list[ActuatorState] = []
@@ -95,8 +97,8 @@ class Survey:
         return "standing up" if self._number < 0 else f"posture {self._number + 1} of {len(self._postures)}"
 
     def recording(self) -> Recording | None:
-        """Return what was measured; None if the robot was in no posture."""
-        if not self._views or not self.reached:
+        """Return the measurements; None if the motion ended before the last posture, or no image came."""
+        if self._number < len(self._postures) or not self._views:
             return None
         stamps, q, contact = zip(*((state.stamp_ns, state.q, state.contact) for state in self._states), strict=True)
         return Recording(
@@ -129,12 +131,16 @@ class Survey:
     def _advance(self, now: int, state: ActuatorState | None, inbox: Inbox) -> None:
         """Go on to the next posture once the body rests in this one, or cannot reach it."""
         if self._order == "stand":
-            if state is not None and state.mode is Mode.HOLD and inbox.latest(topics.BODY_POSE) is not None:
+            if state is None or state.lease != self._holder or state.mode is not Mode.HOLD or state.epoch != self._epoch:
+                self._epoch, self._standing_ns = -1 if state is None else state.epoch, now
+            if now - self._standing_ns >= _STANDING_NS and inbox.latest(topics.BODY_POSE) is not None:
                 self._order, self._given_ns, self._order_due_ns = "walk", -1, 0
                 self._number, self._began_ns = 0, now
             elif now - self._began_ns > _RISE_NS:
-                mode = "silent" if state is None else f"in mode {state.mode}: {state.reason}"
-                self._finish(f"the robot does not stand with a pose from perception; its actuator is {mode}")
+                self._finish(f"the robot does not stand with a pose from perception: {self._obstacle(state)}")
+            return
+        if state is None or state.epoch != self._epoch or state.lease not in ("", self._holder):
+            self._finish(f"the robot was interrupted: {self._obstacle(state)}")
             return
         status = inbox.fresh(topics.PLANNER_STATUS)
         ended = status is not None and status.state in ("arrived", "blocked") and now - self._began_ns > _SETTLE_NS
@@ -155,6 +161,14 @@ class Survey:
         self._number, self._began_ns, self._settled_ns = self._number + 1, now, -1
         if self._number == len(self._postures):
             self._finish("all postures measured")
+
+    def _obstacle(self, state: ActuatorState | None) -> str:
+        """Return what the actuator says about a robot that does not move as commanded."""
+        if state is None:
+            return "the actuator is silent"
+        if state.lease not in ("", self._holder):
+            return f"{state.lease} leads it; `sextant order stop` ends that"
+        return f"the actuator is in mode {state.mode}: {state.reason}"
 
     def _finish(self, reason: str) -> None:
         self.finished, self.reason = True, reason

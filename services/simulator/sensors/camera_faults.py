@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
-from sextant.shared.scenario.scenario import CameraFaultKind
 
 _SUN_PERIOD_M, _SUN_SHARE = 0.5, 0.7  # stripes of sunlight on the ground, as through a window, and their share of it
 _SUN_LOSS = 0.3  # [1] share of the other pixels that are lost
@@ -111,7 +110,7 @@ class CameraFaults:
         return points[..., 0], points[..., 1], points[..., 2]
 
 
-def delivery(kind: CameraFaultKind | str, stamp_ns: int, begin_ns: int, frame: int) -> tuple[int, int]:
+def delivery(kind: str, stamp_ns: int, begin_ns: int, frame: int) -> tuple[int, int]:
     """Return the stamp and the arrival time [ns] of an image under a fault.
 
     Args:

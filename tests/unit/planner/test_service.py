@@ -27,6 +27,7 @@ from sextant.shared.wire.messages import (
     Message,
     Mode,
     PlannerStatus,
+    PostureCommand,
     ScanReceipt,
     StepPlan,
     TerrainMap,
@@ -58,6 +59,7 @@ class Rig:
         self.terrain: TerrainMap | None = FLAT
         self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
+        self.posture: PostureCommand | None = None
         self.goal: Goal | None = None
         self.asked_ago_ns = 0  # [ns] by which the stamps of `command` and `goal` lie back
         self.running: StepPlan | None = None
@@ -67,9 +69,9 @@ class Rig:
         """Advance by one actuator state and publish all available inputs again."""
         self.now_ns += 20 * MS
         self.inbox.now_ns = self.now_ns
-        for message in (self.terrain, self.pose, self.command, self.goal):
+        for message in (self.terrain, self.pose, self.command, self.posture, self.goal):
             if message is not None:
-                asked = isinstance(message, VelocityCommand | Goal)
+                asked = isinstance(message, VelocityCommand | PostureCommand | Goal)
                 fresh = replace(message, stamp_ns=self.now_ns - self.asked_ago_ns * asked)
                 self.inbox.receive(topics.OF_TYPE[type(fresh)], codec.encode(fresh), self.now_ns)
         self.state = replace(self.state, stamp_ns=self.now_ns, **state)
@@ -125,6 +127,31 @@ def test_time_from_depth_image_to_executed_plan_is_a_stage() -> None:
     rig.begin(plan)
     rig.cycle()
     assert rig.planner.stages.percentiles()["capture to plan"] == pytest.approx((40.0, 40.0))
+
+
+def test_standing_robot_takes_a_posture_without_a_map() -> None:
+    rig = Rig()
+    rig.command, rig.terrain = None, None
+    rig.posture = PostureCommand(0, np.array([0.0, 0.01, 0.02]), np.array([0.05, 0.1, 0.0]))
+    (plan,) = rig.plans()
+    assert not plan.swing.any()
+    assert plan.stop
+    np.testing.assert_allclose(plan.body_goal[:3, 3] - standing()[:3, 3], [0.0, 0.01, 0.02], atol=1e-9)
+    rig.begin(plan)
+    assert rig.plans(3) == []
+    rig.finish(plan)
+    assert rig.plans(3) == []
+    assert rig.status().state == "arrived"
+
+
+def test_posture_that_the_actuator_refuses_is_blocked_with_its_reason() -> None:
+    rig = Rig()
+    rig.command, rig.posture = None, PostureCommand(0, np.array([0.0, 0.0, 0.3]), np.zeros(3))
+    for _ in range(2):
+        plan = rig.plans(20)[0]
+        rig.cycle(refused_plan_ns=plan.stamp_ns, plan_refusal="out of reach")
+    said = [(m.state, m.reason) for _ in range(30) for m in rig.cycle() if isinstance(m, PlannerStatus)]
+    assert ("blocked", "posture: out of reach") in said
 
 
 def test_reduced_servo_pace_shortens_step() -> None:
