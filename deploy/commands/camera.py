@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, complain, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
 from sextant.deploy.commands.order import client_name
 from sextant.deploy.terminal.arguments import Group, option
 
@@ -27,8 +27,11 @@ def calibrate(robot: str, connection: options.Connection, out: str | None, rehea
     """Measure mount, depth error and delay of the camera, and the horns: the robot moves its body over a flat floor."""
     from sextant.services.perception.calibration.calibrated_robot import calibrate as calibrated
     from sextant.services.perception.calibration.survey import Survey
+    from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.wire import topics
 
-    path, base, profile = options.own_file(robot, out)
+    path, base, _ = options.own_file(robot, out)
+    profile = load_profile(robot)  # the one with which the services run
     if rehearse is not None:
         found = _rehearsed(rehearse, robot, seed)
         status = _finish(found.robot, profile, path, base)
@@ -37,8 +40,11 @@ def calibrate(robot: str, connection: options.Connection, out: str | None, rehea
         return status
     from sextant.deploy.live.client_run import run_client
 
+    endpoints = connection.endpoints()
+    if endpoints.keys is not None and (refused := endpoints.keys.refusal([topics.MODE, topics.POSTURE])):
+        raise InputError(refused)
     survey = Survey(profile, client_name())
-    if run_client(survey, connection.endpoints(), say) is not None:
+    if run_client(survey, endpoints, say) is not None:
         complain("stopped by the operator; nothing was measured")
         return INTERRUPTED
     say(f"{survey.reason}; computing")

@@ -21,7 +21,7 @@ _MIN_SEEN, _MIN_STANDING = 0.7, 0.3  # shares of the images that show enough flo
 _MAX_FLOOR = 0.004  # [1/m] standard deviation of the inverse depth of the floor
 _MAX_SURPRISE = 3.0  # [sigma] by which the floor may contradict a flat one
 _MAX_ANGLE_DEG, _MAX_PLACE_M, _MAX_SCALE, _MAX_DELAY_S = 0.7, 0.006, 0.015, 0.006  # standard deviations of the camera's numbers
-_MAX_TRIM_SIGMA_DEG = 1.5  # of a leg's horns
+_MAX_TRIM_SIGMA_DEG = 1.0  # of a leg's horns
 
 
 class CalibrationError(SextantError):

@@ -11,7 +11,7 @@ from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import Camera, RobotProfile
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
-from sextant.shared.runtime.service import Every, Inbox, Stages
+from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, PostureCommand, Tick
 
@@ -21,6 +21,7 @@ _INSIDE = 0.9  # share of the reach that a posture may use
 _SETTLE_NS = 400_000_000  # [ns] at rest before the next posture
 _VIEW_NS = 90_000_000  # [ns] minimum time between two depth images that are used
 _ORDER_NS = 500_000_000  # [ns] interval of repeated orders
+_NEEDED: dict[str, AnyTopic] = {"depth image": topics.DEPTH, "pose from perception": topics.BODY_POSE}
 _STANDING_NS = 1_500_000_000  # [ns] of standing before the first posture; the order to stand has then been executed
 _READ_NS = 4_000_000  # [ns] mean time from the reading of a joint to the stamp of its state: servos are read one by one
 _PATIENCE_NS = 15_000_000_000  # [ns] for one posture
@@ -133,11 +134,13 @@ class Survey:
         if self._order == "stand":
             if state is None or state.lease != self._holder or state.mode is not Mode.HOLD or state.epoch != self._epoch:
                 self._epoch, self._standing_ns = -1 if state is None else state.epoch, now
-            if now - self._standing_ns >= _STANDING_NS and inbox.latest(topics.BODY_POSE) is not None:
+            missing = [name for name, topic in _NEEDED.items() if inbox.latest(topic) is None]
+            if now - self._standing_ns >= _STANDING_NS and not missing:
                 self._order, self._given_ns, self._order_due_ns = "walk", -1, 0
                 self._number, self._began_ns = 0, now
             elif now - self._began_ns > _RISE_NS:
-                self._finish(f"the robot does not stand with a pose from perception: {self._obstacle(state)}")
+                lacks = f"no {' and no '.join(missing)} arrives here" if missing else self._obstacle(state)
+                self._finish(f"the robot is not ready: {lacks}")
             return
         if state is None or state.epoch != self._epoch or state.lease not in ("", self._holder):
             self._finish(f"the robot was interrupted: {self._obstacle(state)}")

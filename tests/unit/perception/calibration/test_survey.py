@@ -39,6 +39,7 @@ class Rig:
         self.state: ActuatorState | None = actuator_state(
             PROFILE, mode=Mode.HOLD, reason="standing", lease="me", epoch=7, feet=PROFILE.rest_feet()
         )
+        self.image: DepthImage | None = BLIND
         self.planner = PlannerStatus(0, "arrived", "the body is in the commanded posture", 0, 0, -1)
 
     def run(self, seconds: float) -> list[Message]:
@@ -47,7 +48,7 @@ class Rig:
         for _ in range(round(10 * seconds)):
             self.now_ns += S // 10
             self.inbox.now_ns = self.now_ns
-            for message in (self.state, POSE, self.planner, BLIND):
+            for message in (self.state, POSE, self.planner, self.image):
                 if message is not None:
                     fresh = replace(message, stamp_ns=self.now_ns)
                     self.inbox.receive(topics.OF_TYPE[type(fresh)], codec.encode(fresh), self.now_ns)
@@ -115,7 +116,11 @@ def test_robot_that_never_stands_or_never_moves_ends_the_survey() -> None:
     rig = Rig()
     rig.set(lease="another")
     rig.run(31.0)
-    assert rig.survey.reason.startswith("the robot does not stand with a pose from perception: another leads it")
+    assert rig.survey.reason.startswith("the robot is not ready: another leads it")
+    blind = Rig()
+    blind.image = None
+    blind.run(31.0)
+    assert blind.survey.reason == "the robot is not ready: no depth image arrives here"
     stuck = Rig()
     stuck.planner = replace(stuck.planner, state="waiting", reason="no fresh pose")
     stuck.run(20.0)
