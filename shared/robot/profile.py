@@ -295,6 +295,16 @@ class Camera:
         return np.asarray(self.T_body_mount @ _T_MOUNT_CAMERA)
 
 
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """Inertial sensor, which gives the robot gravity and its heading between two steps."""
+
+    device: Literal["camera", "none"] = "camera"  # "camera": that of the depth camera, if it has one
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
 _T_MOUNT_CAMERA = transform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
 
 
@@ -374,6 +384,7 @@ class RobotProfile:
     legs: tuple[Leg, Leg, Leg, Leg, Leg, Leg]
     camera: Camera
     battery: Battery = Battery()
+    imu: Imu = Imu()
     calibration: tuple[Calibration, ...] = ()  # of the measured legs
 
     checks = (

@@ -88,7 +88,7 @@ _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, perception",
-        (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.SCAN, *_own("robot")),
+        (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.SCAN, t.IMU, *_own("robot")),
         (t.STEP_PLAN, t.MODE, t.STOP, t.DEPTH, t.COLOR, t.ODOMETRY, t.ACTUATOR_STATE, t.IMU, t.SCAN_RECEIPT, *_PRESENCES),
         (*_own("base"), *_own("console")),
     ),

@@ -1,6 +1,7 @@
 """Interface of all depth cameras: constructed open, polled for the newest image."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -8,6 +9,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.perception.imu.reading import ImuReading
 from sextant.shared.robot.camera import Intrinsics
 
 FOCAL_TOLERANCE = 0.02  # [1] relative tolerance between the device's focal lengths and the profile's
@@ -51,6 +53,10 @@ class Camera(Protocol):
             CameraError: The device was disconnected.
         """
         ...
+
+    def read_imu(self) -> Sequence[ImuReading]:
+        """Return the new readings of the camera's IMU {optical frame}, oldest first; none without one."""
+        return ()
 
     def close(self) -> None:
         """Release the device; safe to call twice."""

@@ -1,9 +1,10 @@
 """Supervision of one camera: opening, withholding unusable images, and retries."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from sextant.services.perception.cameras.camera import Camera, CameraError, Frame, RecordingOverError
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
+from sextant.services.perception.imu.reading import ImuReading
 
 FIRST_RETRY_S, LAST_RETRY_S = 1.0, 16.0  # [s] shortest and longest interval between two attempts
 _FIRST_IMAGE_S = 4.0  # [s] allowed for a device to send its first image
@@ -65,6 +66,10 @@ class CameraSupervisor:
         self._heard_ns, self._patience_s = now_ns, _SILENT_S
         self._newest_stamp_ns = frame.stamp_ns
         return self._checked(frame, now_ns)
+
+    def read_imu(self) -> Sequence[ImuReading]:
+        """Return the new readings of the camera's IMU; none without one."""
+        return () if self._camera is None else self._camera.read_imu()
 
     def close(self) -> None:
         """Close the camera; safe to call twice."""

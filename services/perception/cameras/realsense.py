@@ -1,9 +1,10 @@
 """Intel RealSense D400 cameras through pyrealsense2 (librealsense 2.5x)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sextant.services.perception.cameras.camera import (
     Camera,
@@ -13,25 +14,33 @@ from sextant.services.perception.cameras.camera import (
     check_depth_scale,
     check_intrinsics,
 )
+from sextant.services.perception.imu.reading import ImuReading
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profile import Camera as CameraProfile
 
 _NAME = "Intel RealSense"
+_MIN_IMU_HZ = 100  # [Hz] smallest suitable rate of the gyroscope and of the accelerometer
+_QUEUED = 64  # readings of the IMU that wait to be read
+_FORCE_MS = 100.0  # [ms] largest time between an angular rate and the specific force that goes with it
 _PLUG = "plug it into a USB 3 port with its own cable, and check that `rs-enumerate-devices` or `lsusb` lists it"
 
 
 class RealSense(Camera):
-    """First RealSense device found, with depth as measured and colour aligned to it."""
+    """First RealSense device found, with depth as measured, colour aligned to it, and its IMU.
+
+    The axes of the IMU are those of the depth camera's optical frame (x right, y down, z forward).
+    """
 
     recorded = False
 
-    def __init__(self, expected: CameraProfile, clock: Callable[[], int], delay_s: float = 0.0):
+    def __init__(self, expected: CameraProfile, clock: Callable[[], int], delay_s: float = 0.0, imu: bool = False):
         """Start the streams.
 
         Args:
             expected: Camera of the robot's profile.
             clock: [ns] clock that stamps the images.
             delay_s: [s] minimum time from exposure to arrival.
+            imu: Whether to read the camera's IMU, if it has one; without it, depth is read all the same.
 
         Raises:
             CameraError: The library or the device is missing, or the device does not match the profile.
@@ -46,10 +55,15 @@ class RealSense(Camera):
             raise CameraError(f"{_NAME}: {error}", _PLUG) from error
         self._color = False
         self._number = -1
+        self._imu: tuple[Any, Any] | None = None  # sensor and queue of its readings
+        self._imu_stamps = DeviceClock()
+        self._force: tuple[float, NDArray[np.float64]] | None = None  # [ms] device stamp and value of the newest specific force
         try:
             profile = self._start(expected)
             self.description = _about(rs, profile.get_device()) + (", with colour" if self._color else "")
             self._check(profile, expected)
+            if imu:
+                self.description += f", {self._start_imu(profile.get_device())}"
         except RuntimeError as error:
             self.close()
             raise CameraError(f"{_NAME}: {error}", _PLUG) from error
@@ -59,7 +73,11 @@ class RealSense(Camera):
 
     def close(self) -> None:
         """Stop the streams."""
+        imu, self._imu = self._imu, None
         try:
+            if imu is not None:
+                imu[0].stop()
+                imu[0].close()
             self._pipeline.stop()
         except RuntimeError:
             return  # already stopped, or unplugged
@@ -83,6 +101,40 @@ class RealSense(Camera):
         except RuntimeError as error:
             raise CameraError(f"{self.description}: {error}", _PLUG) from error
         return Frame(stamp_ns, depth, rgb)
+
+    def read_imu(self) -> Sequence[ImuReading]:
+        """Return the new angular rates, each with the newest specific force."""
+        readings: list[ImuReading] = []
+        if self._imu is None:
+            return readings
+        try:
+            while frame := self._imu[1].poll_for_frame():
+                data, at_ms = frame.as_motion_frame().get_motion_data(), frame.get_timestamp()
+                vector = np.array([data.x, data.y, data.z], dtype=np.float64)
+                if frame.get_profile().stream_type() == self._rs.stream.accel:
+                    self._force = at_ms, vector
+                elif self._force is not None and abs(at_ms - self._force[0]) < _FORCE_MS:
+                    stamp_ns = self._imu_stamps.host_ns(round(at_ms * 1e6), self._clock())
+                    readings.append(ImuReading(stamp_ns, vector, self._force[1]))
+        except RuntimeError:
+            self._imu = None  # the camera is disconnected, which `read` reports
+        return readings
+
+    def _start_imu(self, device: Any) -> str:
+        """Start gyroscope and accelerometer, if there are any; return the result as text."""
+        try:
+            sensor = next((sensor for sensor in device.query_sensors() if sensor.is_motion_sensor()), None)
+            if sensor is None:
+                return "without IMU"
+            streams = [_suited(sensor.get_stream_profiles(), kind) for kind in (self._rs.stream.gyro, self._rs.stream.accel)]
+            queue = self._rs.frame_queue(_QUEUED)
+            sensor.open(streams)
+            self._imu = sensor, queue
+            sensor.start(queue)
+        except (RuntimeError, ValueError) as error:
+            self._imu = None
+            return f"without IMU, which does not start: {error}"
+        return "with IMU"
 
     def _start(self, expected: CameraProfile) -> Any:
         """Start depth, and colour if requested and available; return the stream profile."""
@@ -125,6 +177,15 @@ def find() -> list[str]:
         CameraError: The library is missing.
     """
     return _devices(_library())
+
+
+def _suited(profiles: Any, kind: Any) -> Any:
+    """Return the slowest stream of a kind that is fast enough, or the fastest; raises ValueError without any."""
+    found = [profile for profile in profiles if profile.stream_type() == kind]
+    fast = [profile for profile in found if profile.fps() >= _MIN_IMU_HZ]
+    if not found:
+        raise ValueError(f"a stream of {kind} expected, found none")
+    return min(fast, key=lambda profile: profile.fps()) if fast else max(found, key=lambda profile: profile.fps())
 
 
 def _library() -> Any:

@@ -10,6 +10,7 @@ from sextant.services.perception.cameras.camera import Camera, CameraError, Fram
 from sextant.services.perception.cameras.camera_supervisor import CameraSupervisor
 from sextant.services.perception.cameras.config import Settings
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
+from sextant.services.perception.imu.reading import BodyImu, ImuReading
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
@@ -17,6 +18,7 @@ from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Me
 
 _LOOKS = 4  # polls of the device per image period
 _STATE_NS = 250_000_000  # [ns] between two state messages without a change
+_MAX_READINGS = 400  # readings of the IMU that wait to be published: one second
 _HUNG_NS = 5_000_000_000  # [ns] in one driver call, after which the driver is considered hung
 _GIVE_UP_NS = 20_000_000_000  # [ns] after which the process ends, because only a new one can recover
 _PAUSE_S = 0.002  # [s] between two polls of the thread
@@ -30,7 +32,7 @@ class CameraService:
 
     name = "camera"
     subscribes: tuple[AnyTopic, ...] = ()
-    publishes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE)
+    publishes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE, topics.IMU)
 
     def __init__(
         self,
@@ -60,6 +62,8 @@ class CameraService:
         self._told: tuple[bool, str] | None = None
         self._pictures = 0
         self._newest: deque[Frame] = deque(maxlen=1)  # from the thread, until published
+        self._imu = BodyImu(camera.T_body_camera[:3, :3])
+        self._readings: deque[ImuReading] = deque(maxlen=_MAX_READINGS)  # from the thread, until published
         self._called_ns = -1  # start of the thread's current driver call, or -1
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -81,7 +85,9 @@ class CameraService:
         trouble = self._trouble()
         if trouble:
             return f"no images: {trouble}; opened {self._supervisor.openings} times so far"
-        return f"{self._supervisor.description}, {self._pictures} images"
+        imu = f", {self._imu.messages} IMU messages" if self._imu.messages else ""
+        problem = f"; {self._imu.problem}" if self._imu.problem else ""
+        return f"{self._supervisor.description}, {self._pictures} images{imu}{problem}"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Publish the newest images, and the state when it changes or is due."""
@@ -97,6 +103,10 @@ class CameraService:
             if frame.rgb is not None and tick.stamp_ns >= self._color_due_ns:
                 self._color_due_ns = tick.stamp_ns + round(1e9 / self._settings.color_rate_hz)
                 yield ColorImage(frame.stamp_ns, frame.rgb)
+        if self._thread is None:
+            self._readings.extend(self._supervisor.read_imu())
+        readings = [self._readings.popleft() for _ in range(len(self._readings))]
+        yield from self._imu.update(readings)
         trouble = self._trouble()
         if tick.stamp_ns >= self._state_due_ns or (not trouble, trouble) != self._told:
             self._state_due_ns, self._told = tick.stamp_ns + _STATE_NS, (not trouble, trouble)
@@ -120,6 +130,7 @@ class CameraService:
             while not self._stop.is_set():
                 self._called_ns = self._clock()
                 frame = self._supervisor.read(self._color_wanted)
+                self._readings.extend(self._supervisor.read_imu())
                 self._called_ns = -1
                 if frame is not None:
                     self._newest.append(frame)
@@ -148,7 +159,7 @@ def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: C
     if device == "realsense":
         from sextant.services.perception.cameras.realsense import RealSense
 
-        return RealSense(profile.camera, clock, settings.delay_s)
+        return RealSense(profile.camera, clock, settings.delay_s, imu=profile.imu.device == "camera")
     if device == "none":
         raise CameraError(
             f"the profile {profile.name} names no camera",

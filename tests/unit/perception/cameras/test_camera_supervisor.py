@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sextant.services.perception.cameras.camera import CameraError, Frame, RecordingOverError
+from sextant.services.perception.cameras.camera import Camera, CameraError, Frame, RecordingOverError
 from sextant.services.perception.cameras.camera_supervisor import LAST_RETRY_S, CameraSupervisor
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 
 
-class ScriptedCamera:
+class ScriptedCamera(Camera):
     """A camera that returns scripted pictures, nothing, or errors."""
 
     description = "scripted camera"

@@ -3,6 +3,7 @@
 The substitute has the calls and the errors of the library.
 """
 
+import re
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -29,6 +30,60 @@ class Device:
 
     def first_depth_sensor(self) -> Any:
         return SimpleNamespace(get_depth_scale=lambda: self.lib.depth_scale)
+
+    def query_sensors(self) -> list[Any]:
+        depth = SimpleNamespace(is_motion_sensor=lambda: False)
+        return [depth, self.lib.motion] if self.lib.motion else [depth]
+
+
+class MotionSensor:
+    """Gyroscope and accelerometer of a camera."""
+
+    def __init__(self, kinds: tuple[str, ...] = ("accel", "gyro")):
+        rates = {"accel": (63, 100, 200), "gyro": (200, 400)}
+        self.profiles = [
+            SimpleNamespace(stream_type=lambda kind=kind: kind, fps=lambda hz=hz: hz) for kind in kinds for hz in rates[kind]
+        ]
+        self.opened: list[tuple[str, int]] = []
+        self.acts: list[str] = []
+        self.queue: list[Any] = []
+        self.error = ""
+
+    def is_motion_sensor(self) -> bool:
+        return True
+
+    def get_stream_profiles(self) -> list[Any]:
+        return self.profiles
+
+    def open(self, profiles: list[Any]) -> None:
+        if self.error:
+            raise RuntimeError(self.error)
+        self.opened = [(profile.stream_type(), profile.fps()) for profile in profiles]
+
+    def start(self, queue: "Queue") -> None:
+        queue.readings = self.queue
+        self.acts.append("start")
+
+    def stop(self) -> None:
+        self.acts.append("stop")
+
+    def close(self) -> None:
+        self.acts.append("close")
+
+    def send(self, kind: str, x: float, y: float, z: float, at_ms: float) -> None:
+        frame = SimpleNamespace(
+            as_motion_frame=lambda: SimpleNamespace(get_motion_data=lambda: SimpleNamespace(x=x, y=y, z=z)),
+            get_timestamp=lambda: at_ms,
+            get_profile=lambda: SimpleNamespace(stream_type=lambda: kind),
+        )
+        self.queue.append(frame)
+
+
+class Queue:
+    readings: list[Any] = []  # noqa: RUF012
+
+    def poll_for_frame(self) -> Any:
+        return self.readings.pop(0) if self.readings else None
 
 
 class Picture:
@@ -105,7 +160,7 @@ class Config:
 class Library:
     """The part of pyrealsense2 that the driver uses."""
 
-    stream = SimpleNamespace(depth="depth", color="color")
+    stream = SimpleNamespace(depth="depth", color="color", accel="accel", gyro="gyro")
     format = SimpleNamespace(z16="z16", rgb8="rgb8")
     camera_info = SimpleNamespace(**{key: key for key in INFO})
 
@@ -115,6 +170,10 @@ class Library:
         self.frames: list[FrameSet] = []
         self.streams: list[Any] = []
         self.stops = 0
+        self.motion: MotionSensor | None = None
+
+    def frame_queue(self, capacity: int) -> Queue:
+        return Queue()
 
     def pipeline(self) -> Pipeline:
         return Pipeline(self)
@@ -240,3 +299,41 @@ def test_device_disconnected_while_opening_is_reported(  # type: ignore[no-untyp
     monkeypatch.setattr(owner, call, raise_disconnected)
     with pytest.raises(CameraError, match="Device disconnected"):
         RealSense(colored(kit), kit.clock)
+
+
+def test_imu_gives_each_rate_with_the_newest_force(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    motion = lib.motion = MotionSensor()
+    camera = RealSense(kit.profile.camera, kit.clock, imu=True)
+    assert camera.description.endswith("USB 3.2, with IMU")
+    assert motion.opened == [("gyro", 200), ("accel", 100)]
+    assert not camera.read_imu()
+    motion.send("gyro", 0.1, 0.2, 0.3, 1000.0)  # no force yet
+    motion.send("accel", 0.0, -9.8, 0.0, 1001.0)
+    motion.send("gyro", 0.1, 0.2, 0.3, 1005.0)
+    (first,) = camera.read_imu()
+    kit.clock.pass_s(0.007)
+    motion.send("gyro", 0.4, 0.5, 0.6, 1010.0)
+    motion.send("gyro", 0.4, 0.5, 0.6, 1200.0)  # the accelerometer has stopped
+    (second,) = camera.read_imu()
+    np.testing.assert_array_equal(first.gyro, [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(second.specific_force, [0.0, -9.8, 0.0])
+    assert second.stamp_ns - first.stamp_ns == 5_000_000
+    assert second.stamp_ns <= kit.clock()
+    camera.close()
+    assert motion.acts == ["start", "stop", "close"]
+
+
+def test_camera_without_imu_or_with_a_broken_one_still_gives_depth(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    broken = MotionSensor()
+    broken.error = "hid device: Permission denied"
+    half = MotionSensor(("gyro",))
+    for lib.motion, words in ((None, "without IMU"), (broken, "without IMU.*Permission denied"), (half, "accel expected")):
+        camera = RealSense(kit.profile.camera, kit.clock, imu=True)
+        assert re.search(words, camera.description)
+        lib.frames = [FrameSet(Picture(kit.ground(1), 1, 1.0))]
+        assert camera.read(False) is not None
+        assert not camera.read_imu()
+        camera.close()
+    lib.motion = MotionSensor()
+    assert "IMU" not in RealSense(kit.profile.camera, kit.clock).description
+    assert not lib.motion.acts, "the profile has no IMU"

@@ -5,15 +5,16 @@ import threading
 import numpy as np
 import pytest
 
-from sextant.services.perception.cameras.camera import CameraError, Frame
+from sextant.services.perception.cameras.camera import Camera, CameraError, Frame
 from sextant.services.perception.cameras.config import Settings
 from sextant.services.perception.cameras.service import CameraService, find, open_camera
+from sextant.services.perception.imu.reading import ImuReading
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Message, Tick
+from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Imu, Message, Tick
 
 
-class Device:
+class Device(Camera):
     """A camera with one picture per period, until it is unplugged."""
 
     description = "test camera"
@@ -37,12 +38,6 @@ class Device:
         return Frame(self.kit.clock(), self.kit.ground(self.kit.clock() % 1000), self.rgb if color else None)
 
     def close(self) -> None:
-        pass
-
-    def __enter__(self):  # type: ignore[no-untyped-def]
-        return self
-
-    def __exit__(self, *_: object) -> None:
         pass
 
 
@@ -142,6 +137,37 @@ def test_reader_thread_error_is_raised_in_service_step(kit) -> None:  # type: ig
         assert read.wait(5.0)
     with pytest.raises(AssertionError, match="a bug"):  # the thread has ended, because the service was entered and left
         run(service, kit, 0.1)
+
+
+class DeviceWithImu(Device):
+    """Its IMU reads 200 times a second, in the optical frame: x right, y down, z forward."""
+
+    force = (0.0, -9.81, 0.0)
+    read_ns = 0
+
+    def read_imu(self) -> list[ImuReading]:
+        since, self.read_ns = self.read_ns or self.kit.clock() - 5_000_000, self.kit.clock()
+        stamps = range(since - since % 5_000_000 + 5_000_000, self.read_ns + 1, 5_000_000)
+        rng = np.random.default_rng(since)
+        return [ImuReading(at, rng.normal([0.0, -0.2, 0.0], 1e-3), np.array(self.force)) for at in stamps]
+
+
+def test_imu_of_the_camera_is_published_in_the_body_frame(kit) -> None:  # type: ignore[no-untyped-def]
+    device = DeviceWithImu(kit)
+    service = CameraService(kit.profile, Settings(), device.open, kit.clock)
+    found = of(run(service, kit, 2.0), Imu)
+    assert len(found) == pytest.approx(200, abs=4)
+    pitch = np.radians(kit.profile.camera.pitch_down_deg)
+    np.testing.assert_allclose(found[-1].specific_force, 9.81 * np.array([np.sin(pitch), 0.0, np.cos(pitch)]), atol=1e-6)
+    turning_left = np.mean([m.gyro for m in found], axis=0)  # about the image's y axis, which points down
+    np.testing.assert_allclose(turning_left, 0.2 * np.array([np.sin(pitch), 0.0, np.cos(pitch)]), atol=1e-3)
+    assert "IMU messages" in service.status()
+    device.force = (np.nan, 0.0, 0.0)
+    assert not of(run(service, kit, 0.5), Imu)
+    assert "garbage" in service.status()
+    device.force = (0.0, -9.81, 0.0)
+    assert of(run(service, kit, 0.5), Imu)
+    assert "garbage" not in service.status()
 
 
 @pytest.mark.parametrize("wrong", [{"color_rate_hz": 0.0}, {"delay_s": -0.1}, {"delay_s": 2.0}])

@@ -1,0 +1,1 @@
+"""Inertial sensors: their readings as messages in the body frame."""
