@@ -27,6 +27,7 @@ _LOOK_S = 0.1
 @options.robot
 @option("--gait", "gait for Twist messages", type=options.GAIT, default="tripod")
 @flag("--pictures", "also publish the small camera previews")
+@option("--pose-from", "topic of nav_msgs/Odometry for a perception with method=external", "TOPIC", default="")
 def ros2(
     domain: int,
     ros_namespace: str,
@@ -35,6 +36,7 @@ def ros2(
     robot: str,
     gait: "GaitName",
     pictures: bool,
+    pose_from: str,
 ) -> int:
     """Run the robot as a ROS 2 node over rmw_zenoh, without ROS, see docs/ros2.md."""
     import threading
@@ -45,7 +47,7 @@ def ros2(
     except ImportError as error:
         raise InputError(f"{error}: pip install 'sextant[ros2]'") from None
     from sextant.deploy.ros2.lead import Lead, Walk
-    from sextant.deploy.ros2.names import Node
+    from sextant.deploy.ros2.names import Node, check_topic
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.runtime.zenoh_runner import run_live
@@ -65,13 +67,18 @@ def ros2(
     ):
         try:
             node = Node(domain, wire.id, "sextant", ros_namespace)
+            if pose_from:
+                check_topic(pose_from)
         except ValueError as error:
             raise InputError(str(error)) from None
-        bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, pictures)
         published = (*PUBLISHED, *LATCHED, *(PICTURES if pictures else ()))
+        if pose_from and node.full(pose_from) in (node.full(topic) for topic, *_ in published):
+            raise InputError(f"--pose-from: a topic of another node expected, found {pose_from}, which this node publishes")
+        bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, pictures, pose_from)
         say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C stops it")
         say(f"publishes {', '.join(node.full(topic) for topic, *_ in published)}")
-        say(f"subscribes to {', '.join(node.full(topic) for topic, *_ in SUBSCRIBED)}")
+        subscribed = [topic for topic, *_ in SUBSCRIBED] + ([pose_from] if pose_from else [])
+        say(f"subscribes to {', '.join(map(node.full, subscribed))}")
         running = threading.Thread(target=run_live, args=(bridge, link, stop), kwargs={"role": endpoints.role}, name="ros2")
         running.start()
         try:

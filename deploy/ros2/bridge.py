@@ -13,19 +13,24 @@ from sextant.deploy.ros2.clock import TimeOfDay
 from sextant.deploy.ros2.lead import Lead
 from sextant.deploy.ros2.message_types import CdrError, TwistStamped, decode, encode
 from sextant.deploy.ros2.names import Node, attachment, gid
-from sextant.shared.geometry import Array
-from sextant.shared.robot.links import BASE
+from sextant.shared.geometry import Array, inverse, rotation_from_quaternion, transform
+from sextant.shared.robot.links import BASE, CAMERA
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.urdf import urdf
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import Message, Odometry, Tick
+from sextant.shared.wire.messages import ExternalPose, Message, Odometry, Tick
 
 RATE_HZ = 50.0
 MAX_TWIST_BYTES = 1024  # of a Twist with a header whose frame has a long name
 _WORD_S = 1.0  # [s] for which the actuator's last message is valid
-_WAITING = 64  # most Twists that may wait to be read
+_WAITING = 64  # most Twists, or poses, that may wait to be read
 
+MAX_ODOMETRY_BYTES = 2048
+ODOMETRY = "nav_msgs/msg/Odometry"
+_MAX_NUMBER = 1e9  # [m] and [m^2] of a position and its covariance
+_UNIT_TOLERANCE = 1e-3  # [1] of the length of a quaternion
+_VARIANCE_TOLERANCE = 1e-9  # [m^2] and [rad^2] rounding error of a covariance
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 # Topic, message type, and history depth of the QoS profile.
 PUBLISHED = (
@@ -120,7 +125,7 @@ class Bridge:
         topics.TERRAIN,
         topics.PREVIEW,
     )
-    publishes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.MODE)
+    publishes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.MODE, topics.EXTERNAL_POSE)
 
     def __init__(
         self,
@@ -131,6 +136,7 @@ class Bridge:
         wall: Callable[[], int],
         say: Callable[[str], None] = lambda _words: None,
         pictures: bool = False,
+        pose_from: str = "",
     ):
         """Announce the node.
 
@@ -142,10 +148,11 @@ class Bridge:
             wall: Time of day [ns].
             say: Receives log lines.
             pictures: Also forward the camera previews, which are made only for subscribers.
+            pose_from: Topic of odometry that is forwarded to the robot as its external pose; empty: none.
         """
         self.trigger = Every.hz(RATE_HZ)
         self.stages = Stages()
-        self.refused = 0  # invalid Twists
+        self.refused = 0  # invalid Twists and poses
         self.last_refusal = ""
         if not pictures:
             self.subscribes = tuple(topic for topic in self.subscribes if topic is not topics.PREVIEW)
@@ -153,6 +160,9 @@ class Bridge:
         self._lead, self._wall, self._tell = lead, wall, say
         self._time = TimeOfDay()
         self._before: Odometry | None = None
+        if not pose_from:
+            self.publishes = tuple(topic for topic in self.publishes if topic is not topics.EXTERNAL_POSE)
+        self._poses: deque[bytes] = deque(maxlen=_WAITING)
         self._twists: deque[tuple[str, bytes]] = deque(maxlen=_WAITING)
         wire.announce(node.token())
         published = (*PUBLISHED, *(PICTURES if pictures else ()))
@@ -170,11 +180,15 @@ class Bridge:
         for entity, (topic, kind, depth) in enumerate(SUBSCRIBED, 1 + len(published) + len(LATCHED)):
             wire.subscribe(node.key(topic, kind), self._receiver(kind))
             wire.announce(node.endpoint_token(entity, "MS", topic, kind, depth))
+        if pose_from:
+            wire.subscribe(node.key(pose_from, ODOMETRY), self._poses.append)
+            entity = 1 + len(published) + len(LATCHED) + len(SUBSCRIBED)
+            wire.announce(node.endpoint_token(entity, "MS", pose_from, ODOMETRY, 10))
 
     def status(self) -> str:
         """Return whether a Twist drives the robot, and the number of refused Twists."""
         words = "a Twist drives the robot" if self._lead.leading else "publishing the robot's state, waiting for cmd_vel"
-        return f"{words}; {self.refused} Twists refused: {self.last_refusal}" if self.refused else words
+        return f"{words}; {self.refused} messages refused: {self.last_refusal}" if self.refused else words
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Run one cycle: forward messages in both directions."""
@@ -187,6 +201,8 @@ class Bridge:
             self._pass_pictures(inbox)
         while self._twists:
             self._take_twist(*self._twists.popleft(), now)
+        while self._poses:
+            yield from self._take_pose(self._poses.popleft())
         yield from self._lead.beat(now, inbox.fresh(topics.ACTUATOR_STATE, _WORD_S))
         for words in self._lead.drain_words():
             self._tell(words)
@@ -248,12 +264,21 @@ class Bridge:
         try:
             velocity, yaw_rate = read_twist(kind, payload)
         except CdrError as error:
-            self.refused += 1
-            if str(error) != self.last_refusal:
-                self.last_refusal = str(error)
-                self._tell(f"Twist refused: {error}")
+            self._refuse("Twist", error)
             return
         self._lead.twist(velocity, yaw_rate, now_ns)
+
+    def _take_pose(self, payload: bytes) -> Iterator[Message]:
+        try:
+            yield read_pose(payload, self._time.robot_ns, self._profile.camera.T_body_camera)
+        except CdrError as error:
+            self._refuse("pose", error)
+
+    def _refuse(self, what: str, error: CdrError) -> None:
+        self.refused += 1
+        if str(error) != self.last_refusal:
+            self.last_refusal = str(error)
+            self._tell(f"{what} refused: {error}")
 
 
 def read_twist(kind: str, payload: bytes) -> tuple[Array, float]:
@@ -272,3 +297,41 @@ def read_twist(kind: str, payload: bytes) -> tuple[Array, float]:
     if not all(map(math.isfinite, (*linear, *angular))):
         raise CdrError(f"{kind}: finite numbers expected, found linear {linear}, angular {angular}")
     return np.array(linear[:2]), angular[2]
+
+
+def read_pose(payload: bytes, robot_ns: Callable[[int], int | None], T_body_camera: Array) -> ExternalPose:
+    """Return the body pose of a nav_msgs/Odometry; its twist is ignored.
+
+    Args:
+        payload: The message in CDR.
+        robot_ns: Converts a time of day [ns] to the robot's clock [ns]; returns None while that is unknown.
+        T_body_camera: (4, 4) of the optical frame, for the pose of a camera.
+
+    Raises:
+        CdrError: It is malformed, not finite, of another frame, or its quaternion or covariance is wrong.
+    """
+    if len(payload) > MAX_ODOMETRY_BYTES:
+        raise CdrError(f"{ODOMETRY}: at most {MAX_ODOMETRY_BYTES} bytes expected, found {len(payload)}")
+    found = decode(ODOMETRY, payload)
+    p, q = found.pose.pose.position, found.pose.pose.orientation
+    place, wxyz = np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z])
+    covariance = np.asarray(found.pose.covariance, dtype=np.float64).reshape(6, 6)
+    if not np.abs(np.concatenate([place, wxyz, covariance.ravel()])).max() <= _MAX_NUMBER:  # NaN, too
+        raise CdrError(
+            f"{ODOMETRY}: numbers up to {_MAX_NUMBER:g} expected, found {place}, {wxyz}, covariance {covariance[0]}..."
+        )
+    length = float(np.linalg.norm(wxyz))
+    if abs(length - 1.0) > _UNIT_TOLERANCE:
+        raise CdrError(f"{ODOMETRY}: a unit quaternion expected, found one of length {length:.3g}")
+    T_child_body = {BASE: np.eye(4), CAMERA: inverse(T_body_camera)}.get(found.child_frame_id)
+    if T_child_body is None:
+        raise CdrError(f"{ODOMETRY}: child_frame_id {BASE!r} or {CAMERA!r} expected, found {found.child_frame_id!r:.80}")
+    low, high = np.linalg.eigvalsh([(block + block.T) / 2 for block in (covariance[:3, :3], covariance[3:, 3:])])[:, [0, -1]].T
+    if low.min() < -_VARIANCE_TOLERANCE:
+        raise CdrError(f"{ODOMETRY}: a positive semidefinite covariance expected, found an eigenvalue of {low.min():.3g}")
+    stamp = found.header.stamp
+    at_ns = robot_ns(stamp.sec * 1_000_000_000 + stamp.nanosec)
+    if at_ns is None or at_ns < 0:
+        raise CdrError(f"{ODOMETRY}: a stamp since the robot's start expected, found {stamp.sec} s; the robot must run")
+    T = transform(rotation_from_quaternion(wxyz / length), place) @ T_child_body
+    return ExternalPose(at_ns, found.header.frame_id, T, *np.sqrt(np.maximum(high, 0.0)).tolist())

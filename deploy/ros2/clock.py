@@ -21,6 +21,10 @@ class TimeOfDay:
             self._until_ns = now_ns + _WINDOW_NS
         self._offsets_ns[0] = min(self._offsets_ns[0], offset)
 
+    def robot_ns(self, at_ns: int) -> int | None:
+        """Convert a time of day [ns] to the robot's clock [ns]; None before a message of the robot."""
+        return at_ns - min(self._offsets_ns) if self._offsets_ns else None
+
     def of(self, stamp_ns: int) -> int:
         """Convert a stamp [ns, robot] to time of day [ns]; call `learn` first."""
         return stamp_ns + min(self._offsets_ns)

@@ -70,6 +70,12 @@ class Node:
         return f"%/{_mangled(self.namespace)}/{self.name}"  # first the enclave, which is the root
 
 
+def check_topic(topic: str) -> None:
+    """Raise a ValueError if a text is no name of a topic."""
+    if not re.fullmatch(rf"/?{_NAME}(/{_NAME})*", topic, re.ASCII):
+        raise ValueError(f"a topic like /odometry/filtered expected, found {topic!r}")
+
+
 def dds_name(kind: str) -> str:
     """Return a message type's name in DDS."""
     package, _, name = kind.split("/")

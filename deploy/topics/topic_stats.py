@@ -20,12 +20,13 @@ from sextant.shared.wire.topics import Lane
 _SIDES = {"robot": "onboard", "device": "onboard", "either": "offboard", "page": "offboard", "simulation": "simulation"}
 # The first word of a key is the process that publishes it, with these exceptions.
 _WRITTEN_BY: Mapping[str, str] = MappingProxyType(
-    {"operator": "operators", "imu": "onboard", "passage": "offboard", "health": "all", "machine": "all"}
+    {"operator": "operators", "imu": "onboard", "external": "all", "passage": "offboard", "health": "all", "machine": "all"}
 )
 _TOTAL = "{:<22} {:<8} {:>16} {:>11}"
 _BUDGET = _TOTAL + " {:>11}"
 _LINE = _TOTAL + " {:>9} {:>9} {:>12} {:>18}"
-_OF_TOTALS = """sender: side of the publisher; operators: clients that order; all: health and presence of every side
+_OF_TOTALS = """sender: side of the publisher; operators: clients that order; all: health and presence of every side,
+and poses from elsewhere
 at most: the volume if each topic had messages of the largest size at its documented rate"""
 
 

@@ -82,7 +82,7 @@ schema and the fields of each message for programs, so that none has to copy the
 """
 _PAGES = {  # name of a page of messages: its title, and the first words of their keys
     "keys_robot": ("Messages of camera, IMU and actuator", ("camera", "imu", "actuator")),
-    "keys_map": ("Messages of pose and maps", ("perception", "mapper", "passage")),
+    "keys_map": ("Messages of pose and maps", ("perception", "external", "mapper", "passage")),
     "keys_walk": ("Messages of planner and operator", ("planner", "operator")),
     "keys_system": ("Messages of recorder, simulator and machines", ("recorder", "simulator", "health", "machine")),
 }

@@ -4,7 +4,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from sextant.services.perception.reduction.params import ReductionParams
-from sextant.services.perception.registration.params import AcceptanceParams, AlignmentParams, KeyframeParams
+from sextant.services.perception.registration.params import (
+    AcceptanceParams,
+    AlignmentParams,
+    ExternalPoseParams,
+    KeyframeParams,
+)
 from sextant.shared.files import config
 from sextant.shared.files.config import ranged
 from sextant.shared.params import Params
@@ -34,13 +39,15 @@ class PerceptionParams(Params):
     alignment: AlignmentParams = field(default_factory=AlignmentParams)
     keyframes: KeyframeParams = field(default_factory=KeyframeParams)
     acceptance: AcceptanceParams = field(default_factory=AcceptanceParams)
+    external: ExternalPoseParams = field(default_factory=ExternalPoseParams)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings(PerceptionParams):
     """Settings of perception: its parameters, the method, and the scans that the mapper expects."""
 
-    method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
+    # kiss-icp suits wide-field scanners; external: the pose is that of the topic external/pose, and nothing is registered
+    method: Literal["projective", "kiss-icp", "external"] = "projective"
     registration: str = ""  # plug-in that estimates the camera pose, in place of the method
     legs: bool = True  # whether leg odometry is available; without it a doubtful frame starts a wide search at once
     scan_resolution: float = ranged(0.01, 0.005, 1.0)  # [m] cell edge of scans, equal to the map's
@@ -48,6 +55,9 @@ class Settings(PerceptionParams):
     scan_points: int = ranged(14_000, 1, 16_000)  # maximum number of points: 60 kB on the roughest ground; limit of the message
 
     checks = (
+        config.together(
+            "method registration", lambda method, plugin: method != "external" or not plugin, "a plug-in or the method external"
+        ),
         config.together("scan_range scan_resolution", lambda most, cell: cell <= most <= 30.0, "scan_resolution to 30 m"),
     )
 

@@ -14,6 +14,7 @@ from sextant.services.perception.rectification import Rectifier
 from sextant.services.perception.reduction.scan_color import Coloring
 from sextant.services.perception.reduction.scan_reducer import ScanReducer
 from sextant.services.perception.registration.error_twist import covariance_at, unit_twists_at
+from sextant.services.perception.registration.external_poses import ExternalPoses
 from sextant.services.perception.registration.frame_check import OUT_OF_ORDER_NS, FrameCheck
 from sextant.services.perception.registration.frame_registration import SILENT_S, FrameRegistration, describe_registration
 from sextant.services.perception.registration.motion_prior import Motion, OdometryHistory
@@ -38,7 +39,10 @@ class Perception:
 
     name = "perception"
     trigger: AnyTopic = topics.DEPTH
-    subscribes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT)
+    subscribes: tuple[AnyTopic, ...] = (
+        *(topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT),
+        topics.EXTERNAL_POSE,
+    )
     publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -54,11 +58,14 @@ class Perception:
         self._odometry = OdometryHistory()
         self._check = FrameCheck((intrinsics.height, intrinsics.width))
         self._tracker = PoseTracker(settings)
-        self._registration = FrameRegistration(profile, settings)
+        external = settings.method == "external"
+        self._external = ExternalPoses(profile.camera.T_body_camera, self._odometry, settings.external) if external else None
+        self._registration = FrameRegistration(profile, settings, self._external)
         self._reducer = ScanReducer(profile.camera, settings)
         self._coloring = Coloring(intrinsics, profile.camera.sensor.depth_scale) if profile.camera.color else None
-        if self._coloring is None:  # colour images are about 1 MB each: subscribe only if they are used
-            self.subscribes = tuple(topic for topic in self.subscribes if topic is not topics.COLOR)
+        # Colour images are about 1 MB each: subscribe only if they are used.
+        used = {topics.COLOR: self._coloring is not None, topics.EXTERNAL_POSE: external}
+        self.subscribes = tuple(topic for topic in self.subscribes if used.get(topic, True))
         self._link = RateControl()
         self._frames = 0
         self._every = settings.frames_per_scan(profile.camera.sensor.rate_hz)
@@ -80,6 +87,8 @@ class Perception:
         """
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
+        if self._external is not None and (found := inbox.latest(topics.EXTERNAL_POSE)) is not None:
+            self._external.add(found, inbox.now_ns)
         for receipt in inbox.drain(topics.SCAN_RECEIPT):
             self._link.record_receipt(receipt.stamp_ns, inbox.now_ns)
         self._link.check_overdue(inbox.now_ns)
@@ -150,7 +159,7 @@ class Perception:
         return found
 
     def _pose(self, found: RegistrationResult, motion: Motion) -> BodyPose:
-        self._words = describe_registration(found)
+        self._words = describe_registration(found) if self._external is None else self._external.describe(found)
         T_world_body = self._tracker.T_world_body
         from_camera = T_world_body[:3, 3] - found.T_world_camera[:3, 3]
         return BodyPose(

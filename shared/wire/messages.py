@@ -244,6 +244,20 @@ class BodyPose(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class ExternalPose(Message):
+    """Body pose from another localization, such as SLAM; any program -> perception.
+
+    Perception uses it in place of its registration if its setting `method` is "external". The stamp is the time of the
+    measurement on the robot's clock, as that of ActuatorState.
+    """
+
+    frame: str  # name of the pose's frame, which does not move on the ground
+    T_frame_body: Pose
+    position_sigma: float = 0.0  # [m] standard deviation in each direction; 0: unknown
+    rotation_sigma: float = 0.0  # [rad] the same about each axis
+
+
+@dataclass(frozen=True, slots=True)
 class Scan(Message):
     """Ground points of one depth frame, one point per map cell; perception -> mapper."""
 

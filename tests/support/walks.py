@@ -1,6 +1,6 @@
 """Walks in lockstep, with a record of their messages."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -80,14 +80,16 @@ def walk(
     wanted: Iterable[AnyTopic] = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.TRUTH, topics.BODY_POSE),
     look: Callable[[LockstepRun], None] = lambda _: None,
     guests: Sequence[Service] = (),
+    around: Mapping[str, Callable[[Service], Service]] | None = None,
 ) -> Walk:
     """Walk to the end as `run_lockstep` does, and record messages.
 
     `look` is called every tenth of a simulated second. Guests are additional services that take part.
+    `around` wraps or replaces services by name.
     """
     heard = Heard(tuple(wanted))
     looked_at = topics.DEPTH in heard.wanted
-    run = LockstepRun(scenario, seed, load_profile(scenario.robot), heard.tap, guests, every_frame=looked_at)
+    run = LockstepRun(scenario, seed, load_profile(scenario.robot), heard.tap, guests, looked_at, around)
     while not run.attendance.over():
         assert run.now_ns() < 2 * scenario.time_limit_s * S, "no verdict"
         run.run(run.now_ns() + LOOK_NS)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.acceptance import Acceptance
 from sextant.services.perception.registration.error_twist import covariance_at
+from sextant.services.perception.registration.external_poses import ExternalPoses
 from sextant.services.perception.registration.motion_prior import Motion
 from sextant.services.perception.registration.observability import AXES, unobservable_directions
 from sextant.services.perception.registration.plugin_registration import PluginRegistration
@@ -34,12 +35,12 @@ class RegistrationMethod(Protocol):
 class FrameRegistration:
     """Registers the frames of a robot's camera with the motion of its body as prior."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings):
-        """Start without a map."""
-        self._profile, self._settings = profile, settings
+    def __init__(self, profile: RobotProfile, settings: Settings, external: ExternalPoses | None = None):
+        """Start without a map; `external` gives the poses in place of a registration."""
+        self._profile, self._settings, self._external = profile, settings, external
         self._T_body_camera = profile.camera.T_body_camera
         self._T_camera_body = inverse(self._T_body_camera)
-        self._method = _make_method(profile, settings)
+        self._method: RegistrationMethod = external or _make_method(profile, settings)
 
     def register(self, image: DepthImage, fault: str, motion: Motion, prior: Array, covariance: Array) -> RegistrationResult:
         """Register one frame.
@@ -82,7 +83,10 @@ class FrameRegistration:
         R = rotation_from_rpy([0.0, 0.0, yaw_of(T)])
         p = T[:3, 3] - R @ motion.T_odom_body[:3, 3]
         T_world_body = transform(R, [p[0], p[1], 0.0]) @ motion.T_odom_body
-        self._method = _make_method(self._profile, self._settings)
+        if self._external is not None:
+            self._external.restart()
+        else:
+            self._method = _make_method(self._profile, self._settings)
         reason = f"{why}: the registration restarts"
         return refused_result(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
 

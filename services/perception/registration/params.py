@@ -1,4 +1,4 @@
-"""Parameters of the registration by projective ICP."""
+"""Parameters of the registration by projective ICP, and of poses in its place."""
 
 from dataclasses import dataclass
 
@@ -67,3 +67,19 @@ class AcceptanceParams(Params):
     max_contradiction: float = ranged(
         0.05, 0.0, 1.0
     )  # [1] share of points off the known heights that refuses a frame, without legs
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalPoseParams(Params):
+    """Checks of a pose from another localization (`method = "external"`)."""
+
+    max_age_s: float = ranged(0.5, 0.05, 2.0)  # [s] maximum age of a pose; leg odometry carries it to the time of a frame
+    smooth_s: float = ranged(0.15, 0.001, 10.0)  # [s] time constant of the mean of poses, which reduces their noise
+    jump: float = ranged(0.10, 0.01, 1.0)  # [m] maximum deviation from the place to which the legs carried the earlier poses
+    jump_angle: float = ranged(0.10, 0.01, 1.0)  # [rad] the same for the rotation
+    drift_share: float = ranged(0.3, 0.0, 1.0)  # [1] of the way and of the turn of the legs, by which poses may correct them
+    drift_rate: float = ranged(0.01, 0.0, 0.2)  # [m/s] and [rad/s] by which poses may correct them as well
+    max_tilt: float = ranged(0.25, 0.02, 1.0)  # [rad] tilt of the body against its legs
+    sigma: float = ranged(0.01, 0.001, 0.2)  # [m] standard deviation of a position of unknown uncertainty
+    sigma_angle: float = ranged(0.01, 0.001, 0.2)  # [rad] the same for the rotation
+    max_sigma: float = ranged(0.2, 0.01, 10.0)  # [m] and [rad] maximum uncertainty of a pose

@@ -20,20 +20,23 @@ from sextant.deploy import cli
 from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.bridge import (
     LATCHED,
+    MAX_ODOMETRY_BYTES,
     MAX_TWIST_BYTES,
+    ODOMETRY,
     PICTURES,
     PUBLISHED,
     SUBSCRIBED,
     TWIST,
     TWIST_STAMPED,
     Bridge,
+    read_pose,
     read_twist,
 )
 from sextant.deploy.ros2.lead import Lead, Walk
-from sextant.deploy.ros2.message_types import decode, encode, type_hash
+from sextant.deploy.ros2.message_types import CdrError, decode, encode, type_hash
 from sextant.deploy.ros2.names import Node, dds_name, gid
 from sextant.deploy.terminal.arguments import parse
-from sextant.shared.geometry import apply, from_xyz_rpy, rotation_from_quaternion, transform
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, quaternion_from_rotation, rotation_from_quaternion, transform
 from sextant.shared.robot.kinematics import leg_forward
 from sextant.shared.robot.links import fixed_joints, hinges
 from sextant.shared.robot.profile import LEGS
@@ -45,6 +48,7 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.codec import Timing
 from sextant.shared.wire.messages import (
     BodyPose,
+    ExternalPose,
     Message,
     Mode,
     ModeCommand,
@@ -62,6 +66,7 @@ from tests.support.states import actuator_state
 MS, S = 1_000_000, 1_000_000_000
 PROFILE = load_profile("phantomx_mk2")
 WALL = 1_700_000_000 * S
+PLACE = from_xyz_rpy((1.0, 2.0, 0.5), (0.1, -0.2, 2.0))
 
 
 def twist(x: float = 0.05, turn: float = 0.1) -> ros.Twist:
@@ -83,6 +88,18 @@ def robot_messages(now_ns: int) -> list[Message]:
         TerrainMap(now_ns, 0.01, np.zeros(2), height, height, height, none, none.astype(np.int8)),
         Preview(now_ns, np.frombuffer(b"depth", np.uint8), np.zeros(0, np.uint8)),
     ]
+
+
+def odometry(T: Array = PLACE, **changes: Any) -> bytes:
+    """Encode the pose (4, 4) of base_link in `slam` as a nav_msgs/Odometry of the robot's start plus 100 s."""
+    w, x, y, z = quaternion_from_rotation(T[:3, :3]).tolist()
+    given = {"stamp_ns": WALL + 100 * S, "child": "base_link", "covariance": np.zeros(36), "wxyz": (w, x, y, z), **changes}
+    w, x, y, z = given["wxyz"]
+    header = ros.Header(ros.Time(given["stamp_ns"] // S, given["stamp_ns"] % S), "slam")
+    pose = ros.PoseWithCovariance(ros.Pose(ros.Point(*T[:3, 3].tolist()), ros.Quaternion(x, y, z, w)), given["covariance"])
+    none = ros.Vector3(0.0, 0.0, 0.0)
+    twist_ = ros.TwistWithCovariance(ros.Twist(none, none), np.zeros(36))
+    return encode(ODOMETRY, ros.Odometry(header, given["child"], pose, twist_))
 
 
 # ------------------------------------------------------------------------------------------------------ a wire in memory
@@ -126,12 +143,14 @@ class MemoryWire:
 class Bench:
     """A bridge in single beats, with a simulated robot and simulated ROS nodes."""
 
-    def __init__(self, asked: bool = True, pictures: bool = False) -> None:
+    def __init__(self, asked: bool = True, pictures: bool = False, pose_from: str = "") -> None:
         self.wire, self.node, self.words = MemoryWire(asked=asked), Node(3, "abc", "sextant"), []
         self.words: list[str] = []
         self.now = 100 * S
         lead = Lead(Walk(0.1, 0.11))
-        self.bridge = Bridge(PROFILE, self.wire, self.node, lead, lambda: WALL + self.now, self.words.append, pictures)
+        self.bridge = Bridge(
+            PROFILE, self.wire, self.node, lead, lambda: WALL + self.now, self.words.append, pictures, pose_from
+        )
         self.inbox = Inbox(self.bridge.subscribes, self.bridge.stages)
 
     def hear(self, *messages: Message) -> None:
@@ -264,7 +283,7 @@ def test_random_bytes_are_refused_counted_and_move_nothing(data: bytes, kind: st
     assert bench.beat() == []
     assert bench.bridge.refused == 2
     assert bench.bridge.last_refusal.startswith(f"{kind}: ")
-    assert "2 Twists refused" in bench.bridge.status()
+    assert "2 messages refused" in bench.bridge.status()
     assert all(words.startswith("Twist refused: ") for words in bench.words)
 
 
@@ -279,6 +298,75 @@ def test_non_finite_twist_component_is_refused(number: float) -> None:
             bench.publish(TWIST, encode(TWIST, value))
             assert bench.beat() == []
             assert "finite numbers expected" in bench.bridge.last_refusal
+
+
+def test_odometry_of_ros_becomes_the_external_pose() -> None:
+    T = PLACE
+    bench = Bench(pose_from="/slam/odometry")
+    receive = bench.wire.receivers[bench.node.key("/slam/odometry", ODOMETRY)]
+    assert sum("%slam%odometry" in token for token in bench.wire.tokens) == 1
+    receive(odometry(T))
+    assert not bench.beat(), "the robot's clock is unknown before its first message"
+    assert "the robot must run" in bench.words[-1]
+    bench.hear(*robot_messages(bench.now))
+    bench.beat()
+    covariance = np.diag([0.01**2, 0.03**2, 0.02**2, 0.001**2, 0.004**2, 0.002**2]).ravel()
+    receive(odometry(T, covariance=covariance, stamp_ns=WALL + bench.now))
+    receive(odometry(T @ PROFILE.camera.T_body_camera, child="camera_depth_optical_frame"))
+    found = bench.beat()
+    assert all(isinstance(message, ExternalPose) for message in found)
+    first, second = found
+    np.testing.assert_allclose(first.T_frame_body, T, atol=1e-12)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(second.T_frame_body, T, atol=1e-12)  # type: ignore[attr-defined]
+    assert abs(first.stamp_ns - (bench.now - 20 * MS)) <= 20 * MS, "by the robot's clock"
+    assert first.frame == "slam"  # type: ignore[attr-defined]
+    assert first.position_sigma == pytest.approx(0.03)  # type: ignore[attr-defined]
+    assert first.rotation_sigma == pytest.approx(0.004)  # type: ignore[attr-defined]
+    assert (second.position_sigma, second.rotation_sigma) == (0.0, 0.0), "unknown"  # type: ignore[attr-defined]
+    for message in found:
+        assert codec.decode(codec.encode(message), ExternalPose)[0].stamp_ns == message.stamp_ns
+
+
+def test_bridge_sends_no_pose_unless_asked() -> None:
+    assert topics.EXTERNAL_POSE not in Bench().bridge.publishes
+    assert topics.EXTERNAL_POSE in Bench(pose_from="/o").bridge.publishes
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (odometry(child="imu_link"), "child_frame_id 'base_link' or 'camera_depth_optical_frame' expected, found 'imu_link'"),
+        (odometry(wxyz=(0.0, 0.0, 0.0, 0.0)), "a unit quaternion expected, found one of length 0"),
+        (odometry(wxyz=(np.nan, 0.0, 0.0, 0.0)), "numbers up to 1e+09 expected"),
+        (odometry(covariance=np.full(36, np.inf)), "numbers up to 1e+09 expected"),
+        (odometry(covariance=np.full(36, 1e300)), "numbers up to 1e+09 expected"),
+        (odometry(covariance=-np.eye(6).ravel()), "a positive semidefinite covariance expected, found an eigenvalue of -1"),
+        (odometry(stamp_ns=0), "a stamp since the robot's start expected, found 0 s"),
+        (encode(TWIST, twist()), "a message in plain CDR expected"),
+        (bytes(MAX_ODOMETRY_BYTES + 1), "at most 2048 bytes expected, found 2049"),
+    ],
+)
+def test_wrong_odometry_is_refused_with_the_reason(payload: bytes, words: str) -> None:
+    bench = Bench(pose_from="/o")
+    bench.hear(*robot_messages(bench.now))
+    bench.beat()
+    bench.wire.receivers[bench.node.key("/o", ODOMETRY)](payload)
+    assert not bench.beat()
+    assert bench.words[-1].startswith("pose refused: ")
+    assert words in bench.words[-1]
+    assert bench.bridge.refused == 1
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=1000))
+def test_fuzzed_odometry_is_a_message_or_refused(data: bytes) -> None:
+    good = odometry()
+    for payload in (data, good[:4] + data, good[: len(good) - len(data)] + data):
+        try:
+            found = read_pose(payload, lambda at_ns: at_ns - WALL, PROFILE.camera.T_body_camera)
+        except CdrError:
+            continue
+        codec.decode(codec.encode(found), ExternalPose)
 
 
 def test_oversized_payload_is_refused() -> None:
@@ -448,6 +536,8 @@ def test_ros2_command_prints_topics_and_ends_on_ctrl_c(
         (["--ros-namespace", "robot"], 2, "a ROS namespace like / or /robot_1 expected, found 'robot'"),
         (["--domain", "400"], 2, "a ROS domain from 0 to 232 expected, found 400"),
         (["--robot", "nobody"], 2, "no profile 'nobody'"),
+        (["--pose-from", "/odom*"], 2, "a topic like /odometry/filtered expected, found '/odom*'"),
+        (["--pose-from", "/odom"], 2, "a topic of another node expected, found /odom, which this node publishes"),
     ],
 )
 def test_invalid_input_is_reported(

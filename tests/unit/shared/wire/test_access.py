@@ -50,7 +50,8 @@ def test_role_may_publish_and_subscribe_as_its_processes_do(role: str, processes
     written, read = written_and_read(processes, role)
     held = ROLE_NAMED[role]
     commands = {topics.POSTURE} if topics.VELOCITY in written else set()  # of clients on these machines; no process sends it
-    assert set(held.publishes) == written | commands
+    poses = {topics.EXTERNAL_POSE} if role in ("robot", "base") else set()  # of other programs
+    assert set(held.publishes) == written | commands | poses
     assert set(held.subscribes) >= read
 
 
