@@ -51,7 +51,7 @@ launch_options = options_of(
     "launch",
     argument(
         "role",
-        "processes to start; onboard: actuator, stop, camera, perception; offboard: all others",
+        "processes to start; onboard: actuator, stop, camera, imu, perception; offboard: all others",
         type=Choice(("all", "onboard", "offboard", "sim")),
     ),
     option("--scenario", "scenario to simulate instead of the hardware", "NAME"),
@@ -198,8 +198,10 @@ def asked(launch: Launch) -> "tuple[tuple[Process, ...], Choices, dict[str, tupl
     rows = _rows(launch)
     chosen = _choices(launch, any(row.name == "simulator" for row in rows))
     device = _camera(launch.camera, chosen.robot, rows)
-    if device == "none":
-        rows = tuple(row for row in rows if row.side != "device")
+    absent = {"camera"} if device == "none" else set()
+    if not _has_imu(chosen.robot):
+        absent.add("imu")
+    rows = tuple(row for row in rows if row.name not in absent)
     return rows, replace(chosen, camera=launch.camera and device), _extra(launch.settings, rows)
 
 
@@ -285,7 +287,7 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
     """
     from sextant.shared.robot.profiles import load_profile
 
-    if not any(row.side == "device" for row in rows):
+    if not any(row.name == "camera" for row in rows):
         if camera:
             raise InputError("--camera: no camera is started here; leave --scenario out, and use the role all or onboard")
         return "none"
@@ -297,6 +299,13 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
     if device == "none" and not camera:
         say(f"no camera is started: the profile {robot} names none; give --camera openni2, realsense or a folder")
     return device
+
+
+def _has_imu(robot: str) -> bool:
+    """Return whether the robot has an IMU that is not part of its camera."""
+    from sextant.shared.robot.profiles import load_profile
+
+    return load_profile(robot).imu.device not in ("camera", "none")
 
 
 def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:

@@ -43,7 +43,7 @@ def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = 
     The servo port is checked only if one is given. The camera is `camera`, or that of the robot's profile.
     """
     checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(robot), chain(), disk(Path())]
-    checks.append(depth_camera(robot, camera))
+    checks += [depth_camera(robot, camera), *inertial_sensor(robot)]
     return [*checks, *servo_checks.examine(port, robot)]
 
 
@@ -249,6 +249,24 @@ def depth_camera(robot: str, device: str = "") -> Check:
         advice = "to walk with a camera, plug it in and check again; simulation and replay need none"
         return Check("camera", level, f"no {device} device found", advice)
     return Check("camera", Level.OK, f"{device}: {', '.join(found)}")
+
+
+def inertial_sensor(robot: str) -> list[Check]:
+    """Check library and port of the robot's IMU, if it has one besides the camera's."""
+    try:
+        from sextant.services.perception.imu.bno import MODELS, check_port
+        from sextant.services.perception.imu.reading import ImuError
+        from sextant.shared.robot.profiles import load_profile
+
+        imu = load_profile(robot).imu
+    except (ImportError, ConfigError):
+        return []  # which the check of the camera reports
+    if imu.device not in MODELS:
+        return []
+    try:
+        return [Check("imu", Level.OK, check_port(imu))]
+    except ImuError as error:
+        return [Check("imu", Level.WARN, error.cause, error.remedy)]
 
 
 def in_words(checks: list[Check]) -> str:

@@ -161,6 +161,7 @@ TABLE: tuple[Process, ...] = (
     ),
     Process("stop", "sextant.services.actuator.estop", "robot", 3, _servo_port, watchdog_s=1.5, memory_mb=256),
     Process("camera", "sextant.services.perception.cameras", "device", 3, _camera),
+    Process("imu", "sextant.services.perception.imu", "device", 3, lambda _: {}, memory_mb=256),
     Process("perception", "sextant.services.perception", "robot", 3, _perception, nice=2, memory_mb=1024),
     Process("mapper", "sextant.services.mapper", "either", 3, _mapper, nice=5, memory_mb=1024),
     Process("planner", "sextant.services.planner", "either", 3, _planner, nice=2, memory_mb=768),

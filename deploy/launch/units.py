@@ -20,7 +20,8 @@ DEVICE_GROUPS = (
     "uucp",
     "video",
     "plugdev",
-)  # groups that own serial ports and cameras, depending on the distribution
+    "i2c",
+)  # groups that own serial ports, cameras and I2C buses, depending on the distribution
 _PREFIX = "sextant-"
 _MARK = "# Made by `sextant service install`; change it by `systemctl edit`. "
 _START_S = 600  # [s] until its loop runs; it may have to compile first

@@ -297,9 +297,24 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """Inertial sensor, which gives the robot gravity and its heading between two steps."""
+    """Inertial sensor, which gives the robot gravity and its heading between two steps.
 
-    device: Literal["camera", "none"] = "camera"  # "camera": that of the depth camera, if it has one
+    The keys besides `device` are those of a BNO055 or BNO085. Without angles its x axis points ahead and its z axis up.
+    Otherwise it is turned left by yaw, then down by pitch, then about its x axis by roll.
+    """
+
+    device: Literal["camera", "bno055", "bno085", "none"] = "camera"  # "camera": that of the depth camera, if it has one
+    port: str = "/dev/i2c-1"  # I2C bus, or serial port such as /dev/ttyUSB0
+    address: int = 0  # on the I2C bus; 0: 0x28 of a BNO055, 0x4A of a BNO085
+    roll_deg: float = 0.0  # [deg] about its x axis
+    pitch_deg: float = 0.0  # [deg] positive: its x axis points down
+    yaw_deg: float = 0.0  # [deg] left of body x
+
+    checks = (
+        *config.each("port", lambda port: port.startswith("/dev/"), "a device such as /dev/i2c-1 or /dev/ttyUSB0"),
+        *config.each("address", lambda address: 0 <= address <= 0x7F, "an I2C address from 0 to 0x7f"),
+        *config.each("roll_deg pitch_deg yaw_deg", lambda angle: abs(angle) <= 180.0, "an angle from -180 to 180 deg"),
+    )
 
     def __post_init__(self) -> None:
         config.verify(self)

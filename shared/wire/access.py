@@ -89,7 +89,7 @@ _OBEYED = (t.STEP_PLAN, t.MODE, t.STOP)
 _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     Role(
         "robot",
-        "the robot's computer: actuator, stop, camera, perception",
+        "the robot's computer: actuator, stop, camera, IMU, perception",
         (*_SENSED, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.EXTERNAL_POSE, t.SCAN, *_own("robot")),
         (*_OBEYED, t.DEPTH, t.COLOR, t.IMU, t.ODOMETRY, t.ACTUATOR_STATE, t.EXTERNAL_POSE, t.SCAN_RECEIPT, *_PRESENCES),
         (*_own("base"), *_own("console")),

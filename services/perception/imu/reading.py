@@ -14,6 +14,14 @@ _PERIOD_NS = 8_000_000  # [ns] shortest interval between messages: at 100, 200 a
 _FROZEN_NS = 1_000_000_000  # [ns] of equal readings after which a sensor is frozen: its noise exceeds its resolution
 
 
+class ImuError(Exception):
+    """Failure to open an IMU, or its loss, with cause and remedy as text."""
+
+    def __init__(self, cause: str, remedy: str):
+        self.cause, self.remedy = cause, remedy
+        super().__init__(f"{cause}; {remedy}")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuReading:
     """One reading, in the axes of the sensor."""

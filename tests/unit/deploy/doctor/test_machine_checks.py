@@ -199,6 +199,17 @@ def test_missing_camera_warns_and_fails_if_requested(tmp_path: Path, monkeypatch
     assert machine_checks.depth_camera("nobody").level is Level.FAIL
 
 
+def test_missing_library_of_the_imu_warns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "adafruit_bno055", None)
+    profile = tmp_path / "mine.toml"
+    profile.write_text('extends = "phantomx_mk2"\n[imu]\ndevice = "bno055"\n', encoding="utf-8")
+    (check,) = machine_checks.inertial_sensor(str(profile))
+    assert check.level is Level.WARN
+    assert "sextant[imu]" in check.advice
+    assert not machine_checks.inertial_sensor("phantomx_mk2")
+    assert not machine_checks.inertial_sensor("nobody")
+
+
 @pytest.mark.parametrize("plugged", [True, False])
 def test_connected_camera_model_is_reported(plugged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     from sextant.services.perception.cameras import realsense

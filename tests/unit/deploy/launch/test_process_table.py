@@ -46,7 +46,7 @@ def test_scenario_map_options_reach_mapper_and_perception() -> None:
 
 def test_roles_partition_services() -> None:
     names = {role: [p.name for p in rows(role, simulated=False)] for role in ("all", "onboard", "offboard", "sim")}  # type: ignore[arg-type]
-    assert names["onboard"] == ["actuator", "stop", "camera", "perception"], "the camera's bandwidth stays on the robot"
+    assert names["onboard"] == ["actuator", "stop", "camera", "imu", "perception"], "the camera's bandwidth stays on the robot"
     assert sorted(names["onboard"] + names["offboard"]) == sorted(names["all"])
     assert names["sim"] == ["simulator"]
     assert "simulator" not in names["all"]
@@ -146,7 +146,7 @@ def test_movable_process_can_run_on_robot_or_base() -> None:
     onboard, offboard = (process_table.rows(role, simulated=False, page=True) for role in ("onboard", "offboard"))
     robot = process_table.rearranged(onboard, ("mapper", "planner"), (), "onboard")
     base = process_table.rearranged(offboard, (), ("mapper", "planner"), "offboard")
-    assert [p.name for p in robot] == ["actuator", "stop", "camera", "perception", "mapper", "planner"]
+    assert [p.name for p in robot] == ["actuator", "stop", "camera", "imu", "perception", "mapper", "planner"]
     assert [p.name for p in base] == ["console", "recorder"]
     moved = process_table.rearranged(offboard, ("perception",), (), "offboard")
     assert [p.name for p in moved] == ["perception", "mapper", "planner", "console", "recorder"], "in the table's order"
