@@ -251,14 +251,15 @@ class Simulator:
         world = self.world
         self.device.advance(now_ns)
         command = self._bank.advance(_DT)
-        setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns)
+        setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns - self._bank.slipped.reshape(6, 3))
         world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3))
         self._bank.set_joint_state(*self._joints(), now_ns + TIME_STEP_NS)
 
     def _joints(self) -> tuple[Array, Array, Array]:
         """Return angles [rad], speeds [rad/s] and torques [N m] of the servos, each (18,)."""
         (q, qd, torque), signs = self.world.joints, self._signs
-        return (signs * q + self._horns).ravel(), (signs * qd).ravel(), (signs * torque).ravel()
+        servo = (signs * q + self._horns).ravel() + self._bank.slipped
+        return servo, (signs * qd).ravel(), (signs * torque).ravel()
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """Yield the messages of camera, IMU and ground truth that are due."""

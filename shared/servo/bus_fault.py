@@ -58,6 +58,12 @@ GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
         ("servo", "overload"): _of_servo("it has latched an overload, and latches it again until the end"),
         ("servo", "heat"): _of_servo("its motor is heated from outside", "kelvin_per_s"),
         ("servo", "hot"): _of_servo("its temperature register has a fixed value", "celsius"),
+        ("servo", "slipped"): _of_servo("its horn slips: the link turns against it, within a fifth of a second", "degrees"),
+        ("servo", "jump"): _of_servo("its encoder jumps, and the servo moves its link accordingly", "degrees"),
+        ("servo", "drift"): _of_servo("its encoder drifts, and the servo moves its link accordingly", "deg_per_s"),
+        ("servo", "bit"): _of_servo("one bit of its goal register is stuck at 0, or at 1 if `value` is not 0", "bit", "value"),
+        ("servo", "sign"): _of_servo("its load register has the wrong sign"),
+        ("servo", "weak"): _of_servo("its motor has only a share of its torque; its load register does not show that", "share"),
         ("bus", "silent"): Cell("the adapter has no power: no bytes pass in either direction; servos hold their goals"),
         ("bus", "stuck"): Cell("the line is stuck: one byte repeats endlessly, servos receive nothing", ("value",)),
         ("bus", "garbage"): Cell("random bytes arrive endlessly, servos receive nothing"),
@@ -92,7 +98,7 @@ def _meaningless(target: FaultTarget, kind: FaultKind, *values: object) -> Itera
 
 _PARAMETERS = (
     *("servo", "share", "value", "part", "delay_ms", "on_ms", "off_ms"),
-    *("cable", "offset_ticks", "kelvin_per_s", "celsius", "renamed", "volts"),
+    *("cable", "offset_ticks", "kelvin_per_s", "celsius", "degrees", "deg_per_s", "bit", "renamed", "volts"),
 )
 
 
@@ -108,8 +114,8 @@ class BusFault:
     at_s: float  # [s] simulated start time; a past time means at once
     for_s: float = 2.0  # [s] duration
     servo: int = -1  # bus id; with packets, -1 for all servos
-    share: float = 0.01  # [1] of the affected bytes or responses
-    value: int = 0  # of a byte
+    share: float = 0.01  # [1] of the affected bytes or responses; of the torque of a weak servo
+    value: int = 0  # of a byte, or of a bit
     part: BrokenPart = "value"  # part of the response that is wrong
     delay_ms: float = 16.0  # [ms] of a response
     on_ms: float = 200.0  # [ms] healthy part of the cycle
@@ -118,6 +124,9 @@ class BusFault:
     offset_ticks: int = 100  # [ticks] of the position register
     kelvin_per_s: float = 1.0  # [K/s] heating rate
     celsius: int = 85  # [deg C] value of the temperature register
+    degrees: float = 20.0  # [deg] by which the horn slips or the encoder jumps, in the direction of growing servo angles
+    deg_per_s: float = 2.0  # [deg/s] drift of the encoder
+    bit: int = 6  # of the goal register, 0 to 9; bit 6 is worth 64 ticks or 19 deg
     renamed: bool = False  # True: the port returns under another name
     volts: float = 2.0  # [V] voltage drop
 
@@ -132,6 +141,9 @@ class BusFault:
         *config.each("offset_ticks", lambda ticks: 0 < abs(ticks) <= 1023, "-1023 to 1023 ticks, not 0,"),
         *config.each("kelvin_per_s", lambda rate: 0 < rate <= 100, "more than 0 and at most 100 K/s"),
         *config.each("celsius", lambda celsius: 0 <= celsius <= 255, "0 to 255 deg C"),
+        *config.each("degrees", lambda angle: 0 < abs(angle) <= 90, "-90 to 90 deg, not 0,"),
+        *config.each("deg_per_s", lambda rate: 0 < abs(rate) <= 1000, "-1000 to 1000 deg/s, not 0,"),
+        *config.each("bit", lambda bit: 0 <= bit <= 9, "a bit from 0 to 9"),
         *config.each("volts", lambda volts: 0 < volts <= 20, "more than 0 and at most 20 V"),
         config.Check(("target", "kind", *_PARAMETERS), _meaningless),
     )

@@ -75,8 +75,9 @@ GaitName: TypeAlias = Literal["tripod", "ripple", "wave"]
 GapCrossingMode: TypeAlias = Literal["if needed", "always", "never"]
 FaultTarget: TypeAlias = Literal["bytes", "packets", "servo", "bus", "supply"]
 FaultKind: TypeAlias = Literal[
-    "silent", "stuck", "garbage", "wrong", "slow", "intermittent", "jammed", "overload", "heat", "hot", "gone", "sag", "drain"
-]
+    "silent", "stuck", "garbage", "wrong", "slow", "intermittent", "jammed", "overload", "heat", "hot", "slipped", "jump",
+    "drift", "bit", "sign", "weak", "gone", "sag", "drain"
+]  # fmt: skip
 BrokenPart: TypeAlias = Literal["value", "id", "length", "error", "two bits", "two bytes"]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
 _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
@@ -541,6 +542,9 @@ class FaultCommand(Message):
     offset_ticks: int  # [ticks]
     kelvin_per_s: float  # [K/s] heating rate
     celsius: int  # [deg C] temperature that the servo reports
+    degrees: float  # [deg] by which the horn slips or the encoder jumps
+    deg_per_s: float  # [deg/s] drift of the encoder
+    bit: int  # of the goal register
     renamed: bool  # True: the port returns under another name
     volts: float  # [V] voltage drop
 

@@ -231,6 +231,21 @@ class BusFaults(AnswersOnly):
                 servo_faults.heating[row] += fault.kelvin_per_s
             case "servo", "hot":
                 servo_faults.reads_hot[row] = fault.celsius
+            case "servo", "slipped":
+                servo_faults.slips[row] += math.radians(fault.degrees)
+            case "servo", "jump":
+                servo_faults.slips[row] += math.radians(fault.degrees)
+                servo_faults.slip_rate[row] = math.inf
+            case "servo", "drift":
+                servo_faults.slips[row] += math.copysign(math.pi, fault.deg_per_s)
+                servo_faults.slip_rate[row] = math.radians(abs(fault.deg_per_s))
+            case "servo", "bit":
+                bits = servo_faults.stuck_ones if fault.value else servo_faults.stuck_zeros
+                bits[row] |= 1 << fault.bit
+            case "servo", "sign":
+                servo_faults.wrong_sign[row] = True
+            case "servo", "weak":
+                servo_faults.strength[row] *= fault.share
             case "supply", "sag":
                 servo_faults.sag += fault.volts
             case "supply", "drain":

@@ -276,6 +276,7 @@ class ServoBank:
         self.motor = motor
         self._variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
         self._stall_torque = motor.stall_torque * self._variation.torque  # (n,) [N m]
+        self.slipped = np.zeros(n)  # (n,) [rad] by which each encoder is ahead of its link
         self.protection = protection or Protection()
         p = self.protection
         stalls, most = (p.stall_duty - _EPS, p.stall_time - _EPS), (p.mean_duty + _EPS) * p.mean_time
@@ -376,8 +377,9 @@ class ServoBank:
         for row in np.flatnonzero(before.unpowered & ~now.unpowered):
             self._power_up(int(row))
         self._jammed_at = np.where(now.jammed & ~before.jammed, self._q, self._jammed_at)
-        self._active_faults, self._has_faults = now, faults is not None
-        self._measured, self._settings_changed = False, True
+        self._active_faults, self._has_faults = now, faults is not None or bool(self.slipped.any())
+        self._stall_torque = self.motor.stall_torque * self._variation.torque * now.strength
+        self._measured, self._settings_changed, self._goals_changed = False, True, True
 
     def _power_up(self, row: int) -> None:
         """Reset the RAM registers of a servo to factory values.
@@ -447,6 +449,9 @@ class ServoBank:
         faults = self._active_faults
         self.temperature += faults.heating * dt
         self.charge = max(self.charge - faults.drain * dt, 0.0)
+        if (self.slipped != faults.slips).any():
+            most = faults.slip_rate * dt
+            self.slipped += np.minimum(np.maximum(faults.slips - self.slipped, -most), most)
         if faults.jammed.any():  # the motor works against the jam, up to its torque limit
             pull = np.clip(self._out.stiffness * (self._goal - self._q), -self._limit, self._limit)
             self._load[:] = np.where(faults.jammed, pull / self._stall_torque, self._load)
@@ -510,6 +515,8 @@ class ServoBank:
     def _convert_goals(self) -> None:
         """Convert goal positions and moving speeds to physical values; a host writes them in every cycle."""
         self._goals_changed = False
+        if self._has_faults:
+            self._goals[:] = (self._goals | self._active_faults.stuck_ones) & ~self._active_faults.stuck_zeros
         self._goal[:] = (self._goals - float(dxl.TICK_CENTRE)) * dxl.TICK_RAD
         speed = self._column(dxl.MOVING_SPEED)
         self._speed[:] = np.where(speed == 0, np.inf, speed * dxl.SPEED_RAD_S)
@@ -563,6 +570,7 @@ class ServoBank:
         if before is not None:
             off = np.clip(words[:, 0] + faults.offset, 0, dxl.TICK_MAX)
             words[:, 0] = np.where(faults.frozen, before, off)
+            words[:, 2] ^= np.where(faults.wrong_sign & (words[:, 2] > 0), np.uint16(dxl.DIRECTION_CW), np.uint16(0))
             hot = faults.reads_hot >= 0
             self._measured_temperature[hot] = faults.reads_hot[hot]
 

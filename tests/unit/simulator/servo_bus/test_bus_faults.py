@@ -333,6 +333,43 @@ def test_jammed_joint_is_held_in_place_under_full_motor_load() -> None:
     assert rig.out.torque_limit[1] == pytest.approx(1.5)
 
 
+@pytest.mark.parametrize(("kind", "parameters", "after_s", "degrees"), [
+    ("slipped", {"degrees": 20.0}, 0.1, 10.0), ("slipped", {"degrees": -20.0}, 0.3, -20.0),
+    ("jump", {"degrees": 20.0}, 0.01, 20.0), ("drift", {"deg_per_s": -3.0}, 2.0, -6.0),
+])  # fmt: skip
+def test_encoder_is_ahead_of_its_link(kind: FaultKind, parameters: dict[str, float], after_s: float, degrees: float) -> None:
+    rig = Rig(of("servo", kind, for_s=100.0, **parameters))
+    rig.run(after_s)
+    assert np.degrees(rig.bank.slipped) == pytest.approx([0.0, degrees, 0.0], abs=0.5)
+
+
+@pytest.mark.parametrize(("value", "wanted", "followed"), [(0, 64, 0), (0, 60, 60), (1, 0, 64), (1, 70, 70)])
+def test_stuck_bit_changes_the_goal_that_a_servo_follows(value: int, wanted: int, followed: int) -> None:
+    rig = Rig(of("servo", "bit", bit=6, value=value))
+    rig.hear(dxl.sync_write(30, 2, [(i, dxl.GOAL_POSITION.encode(512 + wanted)) for i in (1, 2)]))
+    rig.run(0.1)
+    assert rig.out.setpoint[:2] / dxl.TICK_RAD == pytest.approx([wanted, followed], abs=1.1)  # the compliance margin
+
+
+def test_wrong_sign_changes_only_the_load_reading() -> None:
+    rig, honest = Rig(of("servo", "sign")), Rig()
+    for one in (rig, honest):
+        one.run(0.1, (0.0, 0.1, 0.0), torque=0.5)
+    loads = [dxl.load_from_register(PRESENT_STATE.unpack(one.state(2)[0].parameters)[2]) for one in (rig, honest)]
+    assert loads[0] == -loads[1] != 0.0
+    assert rig.position(2) == honest.position(2)
+
+
+def test_weak_servo_has_a_share_of_its_torque_and_shows_its_duty() -> None:
+    rig, strong = Rig(of("servo", "weak", share=0.3, for_s=1.0)), Rig()
+    for one in (rig, strong):
+        one.run(0.1, torque=0.3)
+    assert rig.out.torque_limit / strong.out.torque_limit == pytest.approx([1.0, 0.3, 1.0])
+    assert rig.out.stiffness / strong.out.stiffness == pytest.approx([1.0, 0.3, 1.0])
+    (answer,) = rig.state(2)
+    assert dxl.load_from_register(PRESENT_STATE.unpack(answer.parameters)[2]) == pytest.approx(0.3 / 0.45, abs=0.02)
+
+
 def test_garbage_fault_affects_only_replies_of_its_servo() -> None:
     rig = Rig(of("servo", "garbage"))
     (reply,) = rig.hear(dxl.read(2, 36, 8))
