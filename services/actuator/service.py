@@ -9,6 +9,7 @@ import numpy as np
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.control_rate import ControlRate
 from sextant.services.actuator.cycle_clock import CycleClock
+from sextant.services.actuator.estimation.leg_monitor import LegMonitor
 from sextant.services.actuator.estimation.state_estimator import StateEstimator
 from sextant.services.actuator.estimation.touchdown_detector import FEMUR, FemurReading
 from sextant.services.actuator.locomotion.motion_controller import MotionController
@@ -31,7 +32,9 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Message, Mode, ModeCommand, StopOrder, Tick
 
 _LYING = (Mode.OFF, Mode.READY, Mode.SIT)  # modes in which the body may rest on the ground, so that feet move over it
+_MAX_LOSS = 0.05  # [1] of the answers of the bus; beyond it, corrupted goals may move legs, which is no lie of theirs
 _BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which the legs follow an inertial sensor
+_ON_FEET = (*_BALANCED, Mode.FAULT)  # modes in which goal, position and load of servos are compared
 
 
 class Actuator:
@@ -89,6 +92,7 @@ class Actuator:
         self._guard = Guard(profile, settings.plan_age_s, clock(), torque, handover_s, off_ns, self._authorization.order)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
+        self._legs = LegMonitor(profile)
         self._estimator = StateEstimator(profile, settings.contact, settings.touchdown)
         self._motion = MotionController(profile, settings, self._joints.goals)
         self._report = StateReport(profile.foot.radius)
@@ -138,6 +142,7 @@ class Actuator:
         if guard.mode is not Mode.OFF:
             self._move(dt, now_ns)
             self._report.note_contacts(motion.executor.take_findings(), read_ns)
+            self._watch_legs()
         # 5. React to faults, and report.
         self._check_health(now_ns, elapsed)
         self._authorization.keep(guard.walk_order(now_ns))
@@ -163,8 +168,17 @@ class Actuator:
         touchdown.forget(~awaiting)
         touchdown.begin_cycle(self._measured(), self._joints.goals)
         urgent = [3 * leg + FEMUR for leg, waits in enumerate(awaiting.tolist()) if waits]
-        for reading in self._joints.read(urgent):
+        joints, check = self._joints, self._legs.goals
+        check.note_goals(joints.goals.ravel().tolist())
+        readings = joints.read(urgent)
+        lies_down = self._guard.mode not in _ON_FEET  # joints may be at their stops
+        odd = (joints.unsure.ravel() | (joints.strength < 1.0) | lies_down).tolist()
+        for reading in readings:
             leg, joint = divmod(reading.index, 3)
+            if odd[reading.index]:
+                check.skip(reading.index)
+            else:
+                check.add_reading(reading.index, float(joints.q[leg, joint]), float(joints.load[leg, joint]))
             self._motion.goals.mark_read(leg, joint)
             if joint == FEMUR:
                 touchdown.add_reading(leg, self._femur_reading(leg, reading))
@@ -290,6 +304,16 @@ class Actuator:
         else:
             self._perform(self._guard.seated(now_ns))
 
+    def _watch_legs(self) -> None:
+        """Compare the legs with their goals and with each other."""
+        legs, walk = self._legs, self._motion.executor
+        legs.check_goals()
+        if self._guard.mode is not Mode.WALK or not walk.planned or self._joints.not_responding:
+            legs.pause()
+            return
+        lands = bool(walk.load_share[walk.swing].any())
+        legs.watch(walk.step, walk.swing.tolist(), walk.flying.tolist(), lands, self._measured())
+
     def _send(self, goals: Array) -> None:
         """Send goals, unless torque must be off or the goals are too old."""
         if not self._off.holds and self._clock.is_current:
@@ -331,7 +355,15 @@ class Actuator:
         vitals, behind = self._joints.vitals, self._motion.behind
         if any(behind.tolist()):
             vitals = replace(vitals, behind=vitals.behind | behind)
-        self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
+        verdict, legs = self._health.update(now_ns * 1e-9, elapsed, vitals, torque), self._legs
+        if vitals.loss > _MAX_LOSS:
+            legs.pause()
+        if not torque:
+            legs.forget()
+        elif legs.stop or legs.warning:
+            pace, warnings = min(verdict.pace, legs.pace), (*verdict.warnings, legs.warning)
+            verdict = replace(verdict, broken=verdict.broken or legs.stop, pace=pace, warnings=warnings)
+        self._verdict = verdict
         self._perform(self._guard.watch(now_ns, self._walk(), self._verdict))
         for index in self._verdict.restore_torque:
             if self._off.holds:  # torque off has not been executed yet

@@ -1,0 +1,187 @@
+"""Which leg lies: monitors of a walk whose findings name a servo or a leg, and decide whether to walk slower or to stop.
+
+    registers   goal, position and load of one reading contradict each other, see `GoalCheck`. The robot stops as long as they
+                do, the second time until torque is off.
+    weakness    a servo shows its full torque and stays behind its goal. The robot walks slower, and stops at the second time.
+    slips       standing feet move against each other as if a horn had slipped, see `stance_fit`. The robot stops, or walks
+                slower.
+
+A horn that slips and an encoder that jumps or drifts are the same to the robot: link and encoder differ. Three standing feet
+have only three distances, so several joints explain them about as well; a servo or a leg is named only if it is the only one.
+"""
+
+import math
+from collections.abc import Sequence
+
+from sextant.services.actuator.estimation.goal_check import GoalCheck
+from sextant.services.actuator.estimation.stance_fit import JointOffsets, Slip, Stance, largest_change, measure_stance
+from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+
+_SETTLE_CYCLES = 3  # after lift-off, in which the other legs take up the load
+_STANCE_CYCLES = 10  # shortest stance that is evaluated
+_LOOK_CYCLES = 5  # between two evaluations of a stance
+_LOOK_M = 0.008  # [m] change of a distance from which a stance is evaluated before its end
+# Squared Mahalanobis distance per pair of feet. At the end of a stance, robots that match their profile had 1.2 at most, those
+# with `usual` deviations 2 and with `harsh` ones 5, but for feet that slid by 2 to 12 cm: 66.
+_UNUSUAL = 4.0  # nothing is learned from such a stance
+_SURE = 9.0  # in two stances of the same legs in a row
+_SURE_AT_ONCE = 12.0  # in one stance
+_LEFT = 4.0  # most that a slip may leave unexplained
+_LEFT_AT_ONCE = 0.1  # [1] the same as a share, in one stance
+# Twice the logarithm of the likelihood ratio that rules out an explanation, a leg, or a joint of the leg
+_EXCLUDED, _OTHER_LEG, _OTHER_JOINT = 7.0, 10.0, 6.0
+_SLIP_RAD = math.radians(10.0)  # from which the robot stops; a smaller slip makes it slower
+_LARGEST_RAD = math.radians(40.0)  # from which the feet slide
+_SLOWER = 0.6  # [1] share of the nominal speed
+_REMEMBERED_STANCES = 6  # for which a servo's lie or weakness is remembered; a weak leg hangs, so these stances prove nothing
+
+
+class LegMonitor:
+    """Findings about lying legs; they last until torque is off (`forget`)."""
+
+    def __init__(self, profile: RobotProfile):
+        """Begin without findings."""
+        self._profile = profile
+        self._offsets = JointOffsets()
+        self.goals = GoalCheck(profile)
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard all findings; what was learned stays, so a slip that was not mended is found again."""
+        self._lie = self._fault = ""  # why the robot must not walk: at present, and until torque is off
+        self._slip = self._weak = ""  # why it walks slower
+        self._liar, self._liar_for = -1, 0  # servo that has lied, and stances for which that is remembered
+        self._weak_for = 0  # the same for a weak servo
+        self._stances = 0
+        self._unusual: dict[
+            tuple[int, ...], tuple[int, Stance]
+        ] = {}  # by legs, their last stance if it was unusual, and its number
+        self.goals.forget()
+        self.pause()
+
+    @property
+    def stop(self) -> str:
+        """Why the robot must not walk, or an empty string."""
+        return self._fault or self._lie
+
+    @property
+    def warning(self) -> str:
+        """Why the robot walks slower, or an empty string."""
+        return self._weak or self._slip
+
+    @property
+    def pace(self) -> float:
+        """Share of the nominal speed that the findings allow."""
+        return _SLOWER if self.warning else 1.0
+
+    def pause(self) -> None:
+        """End the stance: the robot does not walk."""
+        self._swing: tuple[int, list[bool]] | None = None
+        self._cycles = 0
+        self._first: Array | None = None  # (6, 3) [rad] joint angles at its begin; None once it has been evaluated
+
+    def check_goals(self) -> None:
+        """Stop while a servo's registers contradict each other; walk slower if a servo is weak, and stop at the second time."""
+        found = self.goals.found
+        if found is None:
+            self._lie = ""
+        elif not self._lie:
+            self._lie = f"{self._servo(found[0])} {found[1]}"
+            if found[0] == self._liar and self._liar_for:
+                self._fault = self._fault or self._lie
+            self._liar, self._liar_for = found[0], _REMEMBERED_STANCES
+        for index in self.goals.take_weak():
+            if self._unusual and not self._weak_for:  # another leg may hold it
+                continue
+            words = f"{self._servo(index)} shows its full torque and stays behind its goal: it is weak, or something holds it"
+            if not self._weak:
+                self._weak = f"{words}; walking slower"
+            elif self._weak.startswith(words) and self._weak_for < _REMEMBERED_STANCES - 1:  # not while it is held once
+                self._fault = self._fault or words
+            self._weak_for = _REMEMBERED_STANCES
+
+    def watch(self, step: int, swing: list[bool], flying: list[bool], lands: bool, q: Array) -> None:
+        """Take in one cycle of a walk.
+
+        Args:
+            step: Number of the running step.
+            swing: (6,) legs that it swings.
+            flying: (6,) those of them in the air.
+            lands: Whether one of them takes up load.
+            q: (6, 3) [rad] measured joint angles.
+        """
+        if True not in flying:
+            self._swing = None
+            return
+        if self._swing != (step, swing):
+            self.pause()
+            self._swing = step, swing
+        self._cycles += 1
+        first, standing = self._first, [leg for leg, swings in enumerate(swing) if not swings]
+        if self._cycles <= _SETTLE_CYCLES:
+            self._first = self._last = q
+        elif first is None or len(standing) < 3:
+            return
+        elif flying != swing or lands:  # a foot lands, and changes how the body moves
+            self._first = None
+            if self._cycles > _STANCE_CYCLES:
+                self._add(measure_stance(self._profile, first, self._last, standing))
+        else:
+            self._last = q
+            looks = self._cycles > _STANCE_CYCLES and self._cycles % _LOOK_CYCLES == 0
+            if looks and largest_change(self._profile, first, q, standing) >= _LOOK_M:
+                self._judge(measure_stance(self._profile, first, q, standing))
+
+    def _add(self, stance: Stance) -> None:
+        """Learn from a stance, or look for the joint whose slip explains it."""
+        self._stances += 1
+        self._unusual = {k: v for k, v in self._unusual.items() if self._stances - v[0] <= _REMEMBERED_STANCES}
+        self._liar_for = max(self._liar_for - 1, 0)
+        if self._weak_for:
+            self._weak_for -= 1
+            self._weak = self._weak if self._weak_for else ""
+        elif self._judge(stance):
+            self._unusual[stance.legs] = self._stances, stance
+        else:
+            self._offsets.learn(stance)
+            self._unusual.pop(stance.legs, None)
+
+    def _judge(self, stance: Stance) -> bool:
+        """Stop or walk slower if a slip explains a stance, or it and the one before; return whether it is unusual."""
+        offsets, pairs, (_, before) = self._offsets, len(stance.moved), self._unusual.get(stance.legs, (0, None))
+        alone = offsets.surprise([stance])
+        if alone < _UNUSUAL * pairs:
+            return False
+        if self.stop or self._weak_for:
+            return True
+        if alone >= _SURE_AT_ONCE * pairs:
+            self._find(offsets.explain([stance]), min(_LEFT * pairs, _LEFT_AT_ONCE * alone), at_once=True)
+        if before is not None and offsets.surprise([before, stance]) >= _SURE * pairs:
+            self._find(offsets.explain([before, stance]), _LEFT * pairs, at_once=False)
+        return True
+
+    def _find(self, slips: Sequence[Slip], most_left: float, at_once: bool) -> None:
+        """Stop for a large slip, walk slower for a small one; `at_once` only if no small one explains the same."""
+        best, likely = slips[0], [slip for slip in slips if slip.cost < slips[0].cost + _EXCLUDED]
+        if self.stop or best.left > most_left or abs(best.size) >= _LARGEST_RAD:
+            return
+        size = min(abs(slip.size) for slip in likely) if at_once else abs(best.size)
+        if size >= _SLIP_RAD:
+            self._fault = self._slipped(slips)
+        elif not at_once:
+            self._slip = self._slip or f"{self._slipped(slips)}; walking slower"
+
+    def _slipped(self, slips: Sequence[Slip]) -> str:
+        """Return which horn has slipped, as precisely as several slips that explain the same allow."""
+        best = slips[0]
+        legs = list(dict.fromkeys(slip.joint // 3 for slip in slips if slip.cost < best.cost + _OTHER_LEG))
+        joints = {slip.joint for slip in slips if slip.joint // 3 == legs[0] and slip.cost < best.cost + _OTHER_JOINT}
+        by = f"has slipped by about {abs(math.degrees(best.size)):.0f} deg, an encoder is off, or the foot slides"
+        if len(legs) == len(joints) == 1:
+            return f"{self._servo(best.joint)}: its horn {by}"
+        return f"{' or '.join(LEGS[leg] for leg in legs)} leg: a horn {by}"
+
+    def _servo(self, index: int) -> str:
+        leg, joint = divmod(index, 3)
+        return f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg (id {self._profile.servo_ids[leg, joint]})"

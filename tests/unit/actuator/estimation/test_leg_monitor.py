@@ -1,0 +1,159 @@
+"""Findings about legs: what stops the robot, what makes it slower, what does neither, and how exactly they name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.estimation.leg_monitor import LegMonitor
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
+from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.profile import LEGS
+from sextant.shared.robot.profiles import load_profile
+
+# Feet without a radius do not roll, so their centres are fixed to the ground.
+PROFILE = replace(load_profile("phantomx_mk2"), foot=replace(load_profile("phantomx_mk2").foot, radius=1e-6))
+SWINGS = [[False, True] * 3, [True, False] * 3]
+CYCLES = 40
+COXA_OF_LEFT_FRONT, TIBIA_OF_RIGHT_MIDDLE = 0, 8
+
+
+def angles(x: float) -> Array:
+    return body_inverse(PROFILE, apply(inverse(from_xyz_rpy((x, 0.0, 0.0), np.zeros(3))), PROFILE.rest_feet()))
+
+
+def step(monitor: LegMonitor, number: int, slip: Array | None = None, since: int = -1, stride: float = 0.09) -> int | None:
+    """Let a monitor watch a step, in which encoders are behind their links by `slip` (18,) [rad] from a cycle on.
+
+    Return the cycle at which it stops the robot.
+    """
+    swing, stops = SWINGS[number % 2], None
+    for k in range(CYCLES):
+        q = angles(stride * (k / CYCLES - 0.5))
+        if slip is not None and k >= since:
+            q -= slip.reshape(6, 3)
+        monitor.check_goals()
+        monitor.watch(number, swing, swing, k == CYCLES - 1, q)
+        stops = k if monitor.stop and stops is None else stops
+    monitor.watch(number, swing, [False] * 6, True, q)
+    return stops
+
+
+def walked(steps: int = 8, horns: Array | None = None) -> LegMonitor:
+    monitor = LegMonitor(PROFILE)
+    for number in range(steps):
+        assert step(monitor, number, horns) is None
+    assert (monitor.stop, monitor.warning, monitor.pace) == ("", "", 1.0)
+    return monitor
+
+
+def one(joint: int, degrees: float) -> Array:
+    offset = np.zeros(18)
+    offset[joint] = np.radians(degrees)
+    return offset
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_robot_whose_horns_are_off_all_the_time_is_not_suspected(seed: int) -> None:
+    walked(20, np.radians(np.random.default_rng(seed).uniform(-4.0, 4.0, 18)))
+
+
+@pytest.mark.parametrize("degrees", [-20.0, 20.0])
+@pytest.mark.parametrize("joint", range(18))
+def test_slip_in_the_air_stops_the_robot_within_four_steps_and_no_other_leg_is_named_alone(joint: int, degrees: float) -> None:
+    monitor = walked()
+    for number in (8, 9, 10, 11):
+        step(monitor, number, one(joint, degrees))
+    assert "has slipped by about" in monitor.stop
+    assert LEGS[joint // 3] in monitor.stop
+    monitor.forget()  # torque is off
+    assert (monitor.stop, monitor.warning) == ("", "")
+    for number in (12, 13, 14, 15):
+        step(monitor, number, one(joint, degrees))
+    assert "has slipped by about" in monitor.stop
+
+
+def test_leg_is_named_alone_when_no_other_one_explains_the_slip() -> None:
+    monitor = walked()
+    stops = step(monitor, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    assert stops is not None
+    assert CYCLES // 2 <= stops < CYCLES // 2 + 5
+    assert monitor.stop.startswith("right middle leg: a horn has slipped by about")
+
+
+def test_small_slip_makes_the_robot_slower_after_two_stances() -> None:
+    monitor = walked()
+    step(monitor, 8, one(COXA_OF_LEFT_FRONT, 9.0))
+    assert (monitor.warning, monitor.pace) == ("", 1.0)
+    step(monitor, 9)
+    step(monitor, 10, one(COXA_OF_LEFT_FRONT, 9.0))
+    assert "left front" in monitor.warning
+    assert "has slipped by about 9 deg" in monitor.warning
+    assert monitor.stop == ""
+    assert monitor.pace < 1.0
+
+
+def test_nothing_is_learned_from_an_unusual_stance() -> None:
+    """A slip of 9 deg that is there in one stance of four does not become usual."""
+    monitor = walked()
+    for number in range(8, 40):
+        step(monitor, number, one(COXA_OF_LEFT_FRONT, 9.0) if number % 8 == 0 else None)
+    assert (monitor.stop, monitor.warning) == ("", "")
+    step(monitor, 40, one(COXA_OF_LEFT_FRONT, 9.0))
+    step(monitor, 42, one(COXA_OF_LEFT_FRONT, 9.0))
+    assert "left front" in monitor.warning
+
+
+def push(monitor: LegMonitor, index: int) -> None:
+    """Let a servo show its full torque for ten readings, 0.3 rad behind its goal."""
+    monitor.goals.note_goals([0.3] * 18)
+    for _ in range(10):
+        monitor.goals.add_reading(index, 0.0, PROFILE.servo.stall_torque)
+    monitor.goals.add_reading(index, 0.3, 0.0)
+    monitor.check_goals()
+
+
+def test_weak_servo_makes_the_robot_slower_and_the_second_time_stops_it() -> None:
+    monitor = walked()
+    push(monitor, 10)
+    assert f"(id {PROFILE.servo_ids.ravel()[10]}) shows its full torque" in monitor.warning
+    assert monitor.pace < 1.0
+    push(monitor, 10)  # the same step: something holds it
+    assert monitor.stop == ""
+    step(monitor, 8, one(COXA_OF_LEFT_FRONT, 20.0))  # its leg hangs and pushes the others
+    step(monitor, 9)
+    step(monitor, 10, one(COXA_OF_LEFT_FRONT, 20.0))
+    assert monitor.stop == ""
+    push(monitor, 10)
+    assert f"(id {PROFILE.servo_ids.ravel()[10]}) shows its full torque" in monitor.stop
+
+
+def test_joint_that_was_held_once_is_forgotten() -> None:
+    monitor = walked()
+    push(monitor, 10)
+    for number in range(8, 16):
+        step(monitor, number)
+    assert (monitor.stop, monitor.warning, monitor.pace) == ("", "", 1.0)
+
+
+def lie(monitor: LegMonitor) -> None:
+    """Let a servo read 17 deg off its goal without load, and then follow it."""
+    monitor.goals.note_goals([0.3] * 18)
+    for off in (*[0.3] * 3, *[0.0] * 30):
+        monitor.goals.add_reading(10, 0.3 - off, 0.0)
+        monitor.check_goals()
+        if off and monitor.stop:
+            assert f"(id {PROFILE.servo_ids.ravel()[10]}) is 17 deg off its goal" in monitor.stop
+
+
+def test_lie_of_a_register_stops_the_robot_as_long_as_it_lasts_and_soon_again_until_torque_is_off() -> None:
+    monitor = walked()
+    lie(monitor)
+    assert monitor.stop == ""
+    for number in range(8, 16):
+        step(monitor, number)
+    lie(monitor)  # after a while, it may be another cause
+    assert monitor.stop == ""
+    step(monitor, 16)
+    lie(monitor)
+    assert "is 17 deg off its goal" in monitor.stop
