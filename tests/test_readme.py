@@ -269,7 +269,7 @@ def test_fuzz_table_matches_command_output() -> None:
     assert printed in text, "python -m benchmarks fuzz prints another table"
 
 
-@pytest.mark.parametrize("name", ["faults", "faults_camera", "faults_live"])
+@pytest.mark.parametrize("name", ["faults", "faults_camera", "faults_legs", "faults_live"])
 def test_fault_tables_match_command_output(name: str) -> None:
     text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     printed = fault_table.markdown(fault_table.from_json((ROOT / "docs" / f"{name}.json").read_text(encoding="utf-8")))

@@ -99,6 +99,7 @@ class Limits:
     named: str = ""  # pattern of the reported reason, with {servo} for the ID
     rest_s: float = inf  # until it stands still
     margin_m: float = -inf  # minimum stability margin in the three seconds after the fault's start
+    unnamed_margin_m: float = -inf  # the same until a lie is named
     again_s: float = inf  # until it walks again, from the fault's end
     jump_deg: float = inf  # of a joint, from the fault's end until it walks again
     lunge_dps: float = inf  # [deg/s] of a joint, from the reset of a shutdown
@@ -128,6 +129,7 @@ class Case:
     watch_s: float = 8.0  # [s] maximum observation after the fault's end
     live: bool = False  # processes over Zenoh in real time; else in lockstep
     course: str = ""  # scenario to walk, with every injection into a copy of the walk; empty for level ground
+    lies: bool = False  # a lie of a leg, which does not end; the margin is evaluated over its whole duration
     halves: bool = False  # mapper, planner, page and operator use a separate router, as on another machine
 
     @property
@@ -148,7 +150,7 @@ class Case:
     @property
     def ends_the_walk(self) -> bool:
         """Whether it is injected into a copy of the walk, because the robot does not walk on, or not far enough."""
-        return self.lets_go or self.limits.seated or bool(self.course)
+        return self.lets_go or self.limits.seated or self.lies or bool(self.course)
 
 
 _OUT_S = 2.0  # [s] duration of a fault
@@ -212,6 +214,16 @@ _ODD_SERVOS: tuple[tuple[str, str, OnBus], ...] = (
     ("servo-wrong", "one servo's position register is 29 deg off", _bus("servo", "wrong")),
     ("servo-jammed", "one joint does not move", _bus("servo", "jammed", 1.0)),
 )
+# Legs that lie: the robot must name the leg while it stands safely. Link and encoder differ after a slip, a jump and a drift.
+_LIES = Limits(unnamed_margin_m=0.010)
+_LIARS: tuple[tuple[str, str, OnBus], ...] = (
+    ("servo-slipped", "one horn slips by 20 deg", _bus("servo", "slipped", 6.0, degrees=20.0)),
+    ("servo-jump", "one encoder jumps by 20 deg", _bus("servo", "jump", 6.0, degrees=20.0)),
+    ("servo-drift", "one encoder drifts by 3 deg/s", _bus("servo", "drift", 9.0, deg_per_s=3.0)),
+    ("servo-bit", "bit 6 of one goal register is stuck at 0", _bus("servo", "bit", 6.0, bit=6)),
+    ("servo-sign", "one load register has the wrong sign", _bus("servo", "sign", 6.0)),
+    ("servo-weak", "one servo has 30 % of its torque", _bus("servo", "weak", 6.0, share=0.3)),
+)
 _LIMITS_OF_BUSES = {
     "lost-40": _MOSTLY_LOST,
     "servo-silent": _ONE_SERVO,
@@ -225,6 +237,7 @@ _SLOW, _LATE = Late(0.04, 1.0), Late(0.07, 1.0)  # as slow as it may walk, and s
 _OFF: tuple[tuple[str, str, tuple[Deed, ...]], ...] = (
     ("off", "the actuator is killed a second later", (Off(), Away("actuator", True, 0.5, 1.5))),
     *((f"off-{name}", words, (deed, Off())) for name, words, deed in (*_BROKEN_BUSES, *_REST_OF_THE_GRID, *_ODD_SERVOS)),
+    *((f"off-{name}", words, (OnBus(replace(deed.fault, for_s=_OUT_S), True), Off())) for name, words, deed in _LIARS),
     ("off-lost-1", "1 % of the answers lost", (_lost(0.01, _OUT_S), Off())),
     ("off-corrupted-1", "1 % of the answers broken", (_corrupted(0.01, _OUT_S), Off())),
     ("off-corrupted-10", "10 % of the answers broken", (_corrupted(0.10, _OUT_S), Off())),
@@ -269,6 +282,7 @@ CASES: tuple[Case, ...] = (
         Case(name, words, (deed,), _LIMITS_OF_BUSES.get(name, Limits()))
         for name, words, deed in (*_BROKEN_BUSES, *_REST_OF_THE_GRID, *_ODD_SERVOS)
     ),
+    *(Case(name, words, (deed,), _LIES, watch_s=0.0, lies=True) for name, words, deed in _LIARS),
     Case(
         "overload",
         "one servo has shut down for its load",

@@ -205,7 +205,7 @@ class FaultRun(ABC):
         """Process an actuator state with its time [ns], by default its stamp."""
         self.state = codec.decode(frame, topics.ACTUATOR_STATE.type)[0]
         at = self.state.stamp_ns if at_ns is None else at_ns
-        self.words.append(Word(at * 1e-9, self.state.mode, self.state.reason))
+        self.words.append(Word(at * 1e-9, self.state.mode, self.state.reason, self.state.warnings))
 
     def hear_truth(self, frame: bytes) -> None:
         """Process a ground truth message."""

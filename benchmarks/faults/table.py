@@ -52,6 +52,8 @@ class Row:
     misheard: int = 0  # injections in which a servo switched torque without a command
     goal_dps: Figure = Figure(0, nan, nan, nan)
     walked: int = 0  # minimum number of executed fuzzed plans
+    named_s: Figure = Figure(0, nan, nan, nan)  # of a lie
+    named_as: dict[str, int] = field(default_factory=dict)  # how it was named, and how often
     commits: tuple[str, ...] = ()  # commits of the program, in alphabetical order
     place_m: Figure = Figure(0, nan, nan, nan)
     ended: dict[str, int] = field(default_factory=dict)  # how the injections on a course ended, and how often
@@ -101,6 +103,8 @@ def row(case: Case, outcomes: Sequence[Outcome], commits: tuple[str, ...] = ()) 
         misheard=sum(one.misheard for one in outcomes),
         goal_dps=of("goal_dps"),
         walked=sum(one.walked for one in outcomes),
+        named_s=of("named_s"),
+        named_as=dict(sorted(Counter(one.named_as for one in outcomes if one.named_as).items())),
         commits=commits,
         place_m=of("place_m"),
         ended=dict(sorted(Counter(one.ended for one in outcomes if one.ended).items())),
@@ -135,6 +139,11 @@ def _laws(case: Case) -> Iterable[tuple[str, Callable[[Outcome], bool]]]:
             yield f"{words} {most * factor:g} {unit}", _at_most(name, most + rounding)
     if isfinite(limits.margin_m):
         yield f"margin {limits.margin_m * 1e3:g} mm", lambda one: one.margin_m >= limits.margin_m
+    if isfinite(limits.unnamed_margin_m):
+        words = f"margin {limits.unnamed_margin_m * 1e3:g} mm until named"
+        yield words, lambda one: not one.unnamed_margin_m < limits.unnamed_margin_m
+    if case.lies:
+        yield "no wrong leg named", lambda one: one.named_as != "wrong"
     if limits.named:
         yield "named", lambda one: one.named
     if limits.torque_stays:
@@ -223,6 +232,9 @@ def _others(one: Row) -> Iterable[str]:
     if one.plans:
         fast = f", as fast as {one.goal_dps.worst:.0f} deg/s" if one.goal_dps.n else ""
         yield f"{one.plans} plans, {f'{one.walked} walked, ' if one.walked else ''}{one.outside} goals outside{fast}"
+    if BY_NAME[one.fault].lies:
+        how = "".join(f", {name} in {n}" for name, n in one.named_as.items())
+        yield f"named in {one.named_s.n} after {_cell(one.named_s, 1e3, '.0f')} ms{how}"
     if one.misheard:
         yield f"a servo misheard torque in {one.misheard}"
     if one.stopped < one.n:
@@ -247,7 +259,8 @@ def from_json(text: str) -> list[Row]:
 
 def _row(entry: dict[str, Any]) -> Row:
     known = [f.name for f in fields(Row) if f.name in entry]  # old rows lack newer quantities
-    figures = {name: Figure(**_numbers(entry[name])) for name in known if isinstance(entry[name], dict) and name != "ended"}
+    counts = ("ended", "named_as")
+    figures = {name: Figure(**_numbers(entry[name])) for name in known if isinstance(entry[name], dict) and name not in counts}
     values = {name: entry[name] for name in known if name not in figures}
     return Row(**values | figures | {name: tuple(values.get(name, ())) for name in ("missed", "commits")})
 

@@ -19,6 +19,7 @@ class Word(NamedTuple):
     t_s: float
     mode: Mode
     reason: str
+    warnings: tuple[str, ...] = ()
 
 
 class Status(NamedTuple):

@@ -20,7 +20,7 @@ from sextant.evaluation.scoring.scorer import FALL_TILT_DEG
 from sextant.evaluation.trace.status_log import kind_of
 from sextant.services.actuator.safety.health_monitor import LATE
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.stability import centre_of_mass
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.messages import Mode
@@ -32,6 +32,8 @@ _DOWN_BY = 0.010  # [m] above level ground: a foot below this is down, although 
 _HANGING = 0.003  # [m] a foot this close above level ground supports the body after a tilt of one degree
 _CYCLE_S = 0.02  # [s] period of the actuator
 _SPRINGS_S = 0.2  # [s] interval for the speed of a joint
+_SERVO = re.compile(r"servo of the (\w+ \w+) leg \(id (\d+)\)")  # in a sentence that names a servo that lies
+_SOME_LEG = re.compile(r"((?:\w+ \w+ or )*\w+ \w+) leg: a horn")  # in one that names legs
 _DEBOUNCE = 1  # samples of truth, 20 ms
 _TWICE_S = 0.002  # [s] goals within this time belong to one cycle: they are sent twice while replies are lost
 _MISSED_S = LATE * _CYCLE_S  # [s] a longer cycle counts as missed
@@ -69,6 +71,9 @@ class Outcome:
     stuck: str = ""  # why it did not walk on afterwards, or empty
     goal_dps: float = nan  # [deg/s] of the fastest goal from one cycle to the next during the fault
     walked: int = 0  # minimum number of executed fuzzed plans
+    named_s: float = nan  # until it named a servo or legs that lie, also as a warning
+    named_as: str = ""  # how: "servo", "leg", "legs" with the right one among them, or "wrong"
+    unnamed_margin_m: float = nan  # minimum stability margin until then
     misheard: bool = False  # whether a servo switched torque without a command: some corrupted bytes pass the checksum
     place_m: float = nan  # change of the error of the estimated position, on a course
     ended: str = ""  # "walks", "arrived", "stands" or "fell", on a course
@@ -92,11 +97,13 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     switches = [s.heard for s in line.switches if s.register == dxl.TORQUE_ENABLE and s.t_s > line.begin_s]
     cycle_s, missed = cycles(line)
     stood = tuple(_stood(line))
+    named_s, named_as = _name_of_lie(since, line.servo, profile) if case.lies else (nan, "")
+    watched_s = case.for_s if case.lies else _MARGIN_S
     return Outcome(
         decided_s=decided - line.begin_s,
         named=any(_names(pattern, w) for w in since),
         rest_s=_at_rest(line.truth, decided, _broken_leg(line, profile), profile) - line.begin_s,
-        margin_m=_margin(line.truth, line.begin_s, profile),
+        margin_m=_margin(line.truth, line.begin_s, watched_s, profile),
         falls=int(_falls(line, profile)),
         again_s=again - line.end_s,
         jump_deg=_jump(line, *quiet, profile) if np.isfinite(away) else 0.0,
@@ -117,6 +124,9 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         stuck=line.stuck,
         cycle_s=cycle_s,
         missed=missed,
+        named_s=named_s - line.begin_s,
+        named_as=named_as,
+        unnamed_margin_m=_margin(line.truth, line.begin_s, float(np.fmin(named_s - line.begin_s, watched_s)), profile),
         misheard=bool(switches) and all(switches),
         place_m=line.place_m,
         ended=line.ended,
@@ -142,6 +152,20 @@ def _stood(line: Timeline) -> Iterator[str]:
 
 def _names(pattern: re.Pattern[str] | None, word: Word) -> bool:
     return pattern is not None and pattern.search(word.reason) is not None
+
+
+def _name_of_lie(since: list[Word], servo: int, profile: RobotProfile) -> tuple[float, str]:
+    """Return when [s] a lie was named first, as a reason or a warning, and how; NaN and an empty string if it was not."""
+    leg = LEGS[int(np.flatnonzero((profile.servo_ids == servo).any(axis=1))[0])]
+    for word in since:
+        for words in (word.reason, *word.warnings):
+            one, some = _SERVO.search(words), _SOME_LEG.search(words)
+            if one is not None:
+                return word.t_s, "servo" if int(one[2]) == servo else "leg" if one[1] == leg else "wrong"
+            if some is not None:
+                legs = some[1].split(" or ")
+                return word.t_s, "wrong" if leg not in legs else "leg" if len(legs) == 1 else "legs"
+    return nan, ""
 
 
 def _again(since: list[Word], after_s: float, stopping: re.Pattern[str] | None) -> float:
@@ -220,8 +244,8 @@ def carrying(truth: Truth, profile: RobotProfile) -> Flags:
     return np.asarray(debounced(truth.contact, _DEBOUNCE) | low)
 
 
-def _margin(truth: Truth, begin_s: float, profile: RobotProfile) -> float:
-    rows = (truth.t >= begin_s) & (truth.t <= begin_s + _MARGIN_S)
+def _margin(truth: Truth, begin_s: float, length_s: float, profile: RobotProfile) -> float:
+    rows = (truth.t >= begin_s) & (truth.t <= begin_s + length_s)
     if not rows.any():
         return nan
     body = truth.body[rows]

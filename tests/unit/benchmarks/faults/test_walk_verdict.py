@@ -16,6 +16,7 @@ from sextant.shared.wire.messages import Mode
 from tests.support.timelines import BEGIN_S, PERIOD_S, PROFILE, standing, timeline, word
 
 KILLED, SILENT, OFF, HEAT = (BY_NAME[name] for name in ("planner-killed", "servo-silent", "off-bus-gone", "heat"))
+LIE = BY_NAME["servo-slipped"]
 IDS = PROFILE.servo_ids.ravel().tolist()
 NO_PLAN = "no new plan received for 0.18 s"
 
@@ -69,6 +70,37 @@ def test_reason_must_name_faulted_servo() -> None:
 
     assert named(16)
     assert not named(6)
+
+
+@pytest.mark.parametrize(
+    ("said", "named"),
+    [
+        ("the femur servo of the left middle leg (id 15) is 17 deg off its goal", "servo"),
+        ("the coxa servo of the left middle leg (id 13): its horn has slipped by about 20 deg", "leg"),
+        ("left middle leg: a horn has slipped by about 20 deg", "leg"),
+        ("right front or left middle leg: a horn has slipped by about 20 deg", "legs"),
+        ("right front or left rear leg: a horn has slipped by about 20 deg", "wrong"),
+        ("the femur servo of the right middle leg (id 16) reports its load with the wrong sign", "wrong"),
+        ("no ground under the left middle foot at the expected height", ""),
+    ],
+)
+@pytest.mark.parametrize("warned", [False, True])
+def test_lie_is_named_by_its_servo_or_by_legs(said: str, named: str, warned: bool) -> None:
+    reason, warnings = ("walking", ("slipping: right front", said)) if warned else (said, ())
+    found = score(timeline(word(1.0, Mode.WALK, reason)._replace(warnings=warnings), servo=15), LIE, PROFILE)
+    assert found.named_as == named
+    assert found.named_s == pytest.approx(1.0 if named else nan, nan_ok=True)
+
+
+def test_margin_of_a_lie_counts_until_it_is_named() -> None:
+    truth = standing(8.0)
+    truth.body[(truth.t > BEGIN_S + 2.0) & (truth.t < BEGIN_S + 3.0), 0, 3] += 0.1
+    said = "left middle leg: a horn has slipped by about 20 deg"
+    margins = [
+        score(timeline(word(at_s, Mode.FAULT, said), servo=15, truth=truth), LIE, PROFILE).unnamed_margin_m
+        for at_s in (1.5, 3.5)
+    ]
+    assert margins[0] > margins[1] + 0.05
 
 
 @given(st.floats(0.3, 1.5))
