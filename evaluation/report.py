@@ -60,6 +60,19 @@ class PoseError:
 
 
 @dataclass(frozen=True, slots=True)
+class CameraFound:
+    """Errors of the camera's profile as the robot estimates them at the end: those of the profile minus the true ones."""
+
+    rpy_deg: tuple[float, float, float] = (_NAN, _NAN, _NAN)  # [deg] of the mount, in axes of the body
+    rpy_sigma_deg: tuple[float, float, float] = (_NAN, _NAN, _NAN)  # [deg] their standard deviations
+    height_m: float = _NAN  # [m] of the mount
+    height_sigma_m: float = _NAN  # [m] its standard deviation
+    depth_error: float = _NAN  # [1] relative, positive if the measured depth is too large
+    depth_error_sigma: float = _NAN  # [1] its standard deviation
+    finding: str = ""  # what the operator was told at the end of the run, or empty
+
+
+@dataclass(frozen=True, slots=True)
 class MapError:
     """Mapped minus true height within 1 m of the robot."""
 
@@ -183,6 +196,7 @@ class Report:
     min_stability_margin_m: float = _NAN  # [m] least margin of the body inside the feet that carry load
     pose_error_m: PoseError = PoseError()  # of the estimated pose
     map_error_m: MapError = MapError()  # of the map around the robot
+    camera: CameraFound = CameraFound()  # errors of the camera's profile, estimated by the robot
     course_map_m: CourseMap = CourseMap()  # of all maps of the run together
     passage: Passage = Passage()  # how a gap was crossed
     capture_to_plan_ms: CaptureToPlan = CaptureToPlan()  # time from a depth image to the plan in execution

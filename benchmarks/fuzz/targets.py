@@ -7,14 +7,12 @@ from collections.abc import Callable
 from random import Random
 from typing import Any
 
-import numpy as np
-
 from benchmarks.fuzz import message_corpus, recording_mutators
 from benchmarks.fuzz.file_targets import file_targets
 from benchmarks.fuzz.mutators import broken, odd, odd_table
 from benchmarks.fuzz.target import Target
 from sextant.deploy.ros2 import message_types as ros
-from sextant.deploy.ros2.bridge import ODOMETRY, TWIST, TWIST_STAMPED, read_pose, read_twist
+from sextant.deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
 from sextant.services.console.config import Settings
 from sextant.services.console.web import requests
 from sextant.services.console.web.connection import SOCKET, Connection
@@ -42,7 +40,6 @@ def targets(rng: Random) -> tuple[Target, ...]:
         Target("bridge, host", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.TO_HOST)),
         Target("bridge, board", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.FROM_HOST)),
         *(_of_twist(kind) for kind in (TWIST, TWIST_STAMPED)),
-        _of_odometry(),
         Target("page, request", tuple(text.encode() for text in _asked()), _odd_request, _take_request),
         _of_socket(),
         Target("recording", recording_mutators.examples(rng), recording_mutators.twisted, recording_mutators.Taker().take),
@@ -172,27 +169,6 @@ def _of_twist(kind: str) -> Target:
         _broken_behind(4),
         take,
     )
-
-
-def _of_odometry() -> Target:
-    pose = ros.Pose(ros.Point(1.0, 2.0, 0.1), ros.Quaternion(0.0, 0.0, 0.6, 0.8))
-    none = ros.Twist(ros.Vector3(0.0, 0.0, 0.0), ros.Vector3(0.0, 0.0, 0.0))
-    example = ros.Odometry(
-        ros.Header(ros.Time(1, 2), "map"),
-        "base_link",
-        ros.PoseWithCovariance(pose, 1e-4 * np.eye(6).ravel()),
-        ros.TwistWithCovariance(none, np.zeros(36)),
-    )
-
-    def take(data: bytes) -> bool:
-        try:
-            found = read_pose(data, lambda at_ns: at_ns, np.eye(4))
-            codec.decode(codec.encode(found), topics.EXTERNAL_POSE.type)
-        except (ros.CdrError, DecodeError):
-            return False
-        return True
-
-    return Target("ROS 2, Odometry", (ros.encode(ODOMETRY, example),), _broken_behind(4), take)
 
 
 # -------------------------------------------------------------------------------------------------------------- the page

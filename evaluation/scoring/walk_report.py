@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.evaluation.metrics.walk_metrics import angle_between, rubbing, slip_per_step
-from sextant.evaluation.report import CaptureToPlan, HeightError, PoseError, Report, Slip, Spread, Torque
+from sextant.evaluation.report import CameraFound, CaptureToPlan, HeightError, PoseError, Report, Slip, Spread, Torque
 from sextant.evaluation.trace.course import Course
 from sextant.evaluation.trace.recorded_walk import Walk
 from sextant.evaluation.trace.run_log import RunLog
@@ -43,6 +43,20 @@ def pose_error(trace: Trace) -> PoseError:
     """
     error = trace.pose_error[np.isfinite(trace.pose_error)]
     return PoseError(float(np.sqrt(np.mean(error**2))), float(error[-1])) if len(error) else PoseError()
+
+
+def camera_found(heard: RunLog) -> CameraFound:
+    """Return what the robot found out about its camera."""
+    errors = heard.camera_errors
+    if errors is None:
+        return CameraFound()
+    *rpy, height, depth = errors.estimate.tolist()
+    *rpy_sigma, height_sigma, depth_sigma = errors.sigma.tolist()
+    roll, pitch, yaw = np.degrees(rpy).tolist()
+    sigmas = np.degrees(rpy_sigma).tolist()
+    return CameraFound(
+        (roll, pitch, yaw), (sigmas[0], sigmas[1], sigmas[2]), height, height_sigma, depth, depth_sigma, errors.finding
+    )
 
 
 def capture_to_plan(heard: RunLog) -> CaptureToPlan:

@@ -13,6 +13,7 @@ from sextant.shared.wire import topics
 from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
+    CameraErrors,
     GroundTruth,
     Mode,
     PassageMap,
@@ -80,6 +81,7 @@ class RunLog:
         self.routes: list[Array] = []  # (k, 2) [m] {world} new routes to a goal
         self.first_step_ns: int | None = None
         self.capture_to_plan_ns: list[int] = []  # [ns] from a depth image to the first cycle of a plan that is based on it
+        self.camera_errors: CameraErrors | None = None  # the newest ones
         self.refusal = ""  # the planner's reason for not going on, once it has lasted `_REFUSED_NS`
         self._newest_step = self._steps_before = 0  # newest step of the actuator, and the steps before its restart
         self._blocked_since_ns: int | None = None
@@ -98,6 +100,7 @@ class RunLog:
         self.newest_ns = truth.stamp_ns
         for pose in inbox.drain(topics.BODY_POSE):
             self.poses.append(_sharing(pose, self.poses, _UNUSED_OF_POSE))
+        self.camera_errors = inbox.latest(topics.CAMERA_ERRORS) or self.camera_errors
         states = inbox.drain(topics.ACTUATOR_STATE)
         for state in states:
             if state.step < self._newest_step:

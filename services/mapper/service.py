@@ -10,6 +10,7 @@ from sextant.services.mapper.config import Settings
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, ElevationSnapshot
 from sextant.services.mapper.elevation.foot_evidence import FootEvidence, feet_show_ground
 from sextant.services.mapper.elevation.fusion import FusionModel
+from sextant.services.mapper.elevation.ground_changes import GroundChanges
 from sextant.services.mapper.elevation.scan_admission import ScanAdmission
 from sextant.services.mapper.elevation.start_ground import assume_start_ground
 from sextant.services.mapper.elevation.validated_scan import ValidatedScan
@@ -48,6 +49,7 @@ class Mapper:
         self._layers = FootholdLayers.of(shape, resolution, foot_radius_m, settings.footholds, profile.camera.color)
         self._rule = PluginRule(profile, settings.foothold_rule) if settings.foothold_rule else None
         self._admission = ScanAdmission()
+        self._ground = GroundChanges()
         self._feet = FootEvidence(foot_radius_m, resolution, settings.leg_difference)
         self._types = TerrainTypeMapping(settings, foot_radius_m)
         self._hazards: tuple[NDArray[np.uint8], Array] | None = None  # of the newest map, and the centre of its cell (0, 0)
@@ -82,7 +84,7 @@ class Mapper:
 
         A map is due after `publish_every` scans, or after their usual duration where the link drops scans.
         """
-        yield ScanReceipt(scan.stamp_ns, self._refused)
+        yield ScanReceipt(scan.stamp_ns, self._refused, self._feet.leg_heights.measured)
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
         self._refused = self._admission.rejection_reason(scan, pose, centre) or self._fuse(scan, centre, pose, legs)
@@ -121,6 +123,11 @@ class Mapper:
             except ValueError as error:
                 return str(error)
             self._grid.move_to(centre[:2])
+            change = self._ground.next(scan.ground_change)
+            if change is not None:
+                self._grid.change_ground(change)
+                if pose is not None and legs is not None:
+                    self._feet.change_ground(change, pose, legs)
             ground = None
             if pose is not None and legs is not None:
                 ground = self._feet.confirmed_ground(self._grid, scan.stamp_ns, pose, legs)

@@ -35,6 +35,7 @@ class PerceptionParams(Params):
     unreliable_level: float = ranged(0.01, 0.0, 1.0)  # [m] and [rad] of height, roll and pitch
     settle_s: float = ranged(0.4, 0.0, 1.5)  # [s] for which the robot must stand still before {world} is defined
     tilt_s: float = ranged(3.0, 1e-6, 1000.0)  # [s] time constant for averaging the tilt of {odom}
+    correct_camera: bool = True  # whether tilt and height of the camera are corrected while the robot walks
     reduction: ReductionParams = field(default_factory=ReductionParams)
     alignment: AlignmentParams = field(default_factory=AlignmentParams)
     keyframes: KeyframeParams = field(default_factory=KeyframeParams)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from sextant.services.perception.calibration.online_calibration import OnlineCalibration
 from sextant.services.perception.cameras.image_quality import EMPTY, measured_share
 from sextant.services.perception.config import Settings
 from sextant.services.perception.preview import preview
@@ -43,7 +44,7 @@ class Perception:
         *(topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT),
         topics.EXTERNAL_POSE,
     )
-    publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
+    publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.CAMERA_ERRORS, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Start without a pose."""
@@ -60,8 +61,11 @@ class Perception:
         self._tracker = PoseTracker(settings)
         external = settings.method == "external"
         self._external = ExternalPoses(profile.camera.T_body_camera, self._odometry, settings.external) if external else None
-        self._registration = FrameRegistration(profile, settings, self._external)
-        self._reducer = ScanReducer(profile.camera, settings)
+        self._calibration = OnlineCalibration(profile, settings.correct_camera)
+        self._calibrates = settings.legs and not external
+        self._correction = self._calibration.correction
+        self._registration = FrameRegistration(profile, settings, self._correction, self._external)
+        self._reducer = ScanReducer(profile.camera, settings, self._correction)
         self._coloring = Coloring(intrinsics, profile.camera.sensor.depth_scale) if profile.camera.color else None
         # Colour images are about 1 MB each: subscribe only if they are used.
         used = {topics.COLOR: self._coloring is not None, topics.EXTERNAL_POSE: external}
@@ -74,11 +78,13 @@ class Perception:
 
     def status(self) -> str:
         """Return the status of the registration and of the link to the mapper."""
-        allowed = self._link.budget
+        allowed, words = self._link.budget, self._words
+        if finding := self._calibration.finding:
+            words = f"{words}; {finding}"
         if self._link.share == 1.0:
-            return self._words
+            return words
         carries = f"the link to the mapper carries {allowed.scans:.0%} of the scans, and {allowed.points:.0%} of their points"
-        return f"{self._words}; {carries}"
+        return f"{words}; {carries}"
 
     def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
         """Register every n-th frame and publish its pose and scan, and then a preview.
@@ -91,6 +97,7 @@ class Perception:
             self._external.add(found, inbox.now_ns)
         for receipt in inbox.drain(topics.SCAN_RECEIPT):
             self._link.record_receipt(receipt.stamp_ns, inbox.now_ns)
+            self._calibration.compare(receipt.leg_heights)
         self._link.check_overdue(inbox.now_ns)
         self._frames += 1
         if self._time_offset_ns:
@@ -132,6 +139,8 @@ class Perception:
             return
         found = self._register(image, fault, motion, inbox)
         yield self._pose(found, motion)
+        if (errors := self._calibration.news(image.stamp_ns)) is not None:
+            yield errors
         # Points at an unknown pose would corrupt the map; without scans the map ages and the planner stops the robot.
         if not fault and (found.ok or self._sees_nothing_yet(image, motion)) and self._link.should_send():
             yield self._scan(image, found, inbox)
@@ -147,15 +156,20 @@ class Perception:
             found = self._registration.register(image, fault, motion, prior, covariance)
             T_world_body = self._registration.T_world_body(found)
             if self._registration.is_overturned(found, motion):
+                self._calibration.restart()
                 why = "the pose shows the body on its side, but it stands on its legs"
                 found = self._registration.restart(found, T_world_body, motion, why)
                 tracker.restart_tilt()
             elif self._settings.legs and found.ok and motion.reliable:
                 why = tracker.contradiction(image.stamp_ns, T_world_body, motion)
                 if why:
+                    self._calibration.restart()
                     tracker.distrust(image.stamp_ns, why)
                     found = self._registration.restart(found, tracker.T_world_odom @ motion.T_odom_body, motion, why)
-        tracker.correct(image.stamp_ns, self._registration.T_world_body(found), motion, found.ok)
+        T_world_body = self._registration.T_world_body(found)
+        tracker.correct(image.stamp_ns, T_world_body, motion, found.ok)
+        if self._calibrates:
+            self._calibration.add(found, prior, covariance, T_world_body, motion, self._odometry.restarts)
         return found
 
     def _pose(self, found: RegistrationResult, motion: Motion) -> BodyPose:
@@ -214,7 +228,7 @@ class Perception:
             return
         motion = self._odometry.motion_at(image.stamp_ns)
         if motion is not None:
-            T_world_camera = self._tracker.T_world_odom @ motion.T_odom_body @ self._camera.T_body_camera
+            T_world_camera = self._tracker.T_world_odom @ motion.T_odom_body @ self._correction.T_body_camera
             coloring.keep(image.stamp_ns, image.depth, np.asarray(T_world_camera))
 
     def _preview(self, image: DepthImage, inbox: Inbox) -> Iterator[Preview]:

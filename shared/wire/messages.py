@@ -259,6 +259,20 @@ class ExternalPose(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class CameraErrors(Message):
+    """Errors of the camera's profile, estimated while the robot walks; perception -> console, recorder.
+
+    Each array holds roll, pitch and yaw [rad] of the mount in axes of the body, its height [m], and the relative error of the
+    depth [1]: those of the profile minus the true ones.
+    """
+
+    estimate: Annotated[NDArray[np.float64], Dims(5)]  # [rad, rad, rad, m, 1]
+    sigma: Annotated[NDArray[np.float64], Dims(5)]  # standard deviations of the estimate
+    corrected: Annotated[NDArray[np.float64], Dims(5)]  # errors that perception corrects now
+    finding: str  # errors that the operator should know, as a sentence, or empty
+
+
+@dataclass(frozen=True, slots=True)
 class Scan(Message):
     """Ground points of one depth frame, one point per map cell; perception -> mapper."""
 
@@ -276,6 +290,9 @@ class Scan(Message):
     free_rays_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
         default_factory=lambda: _NO_SIGHTS
     )  # [mm] from the origin: ends of additional rays that are free of obstacles
+    ground_change: Annotated[NDArray[np.float64], Dims(3)] = dataclasses.field(
+        default_factory=lambda: np.zeros(3)
+    )  # (a, b, c): corrections of the camera have changed heights by a x + b y + c since the first scan
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -296,6 +313,9 @@ class ScanReceipt(Message):
     """
 
     refused: str = ""  # why the scan before this one was not mapped, or empty
+    leg_heights: Annotated[NDArray[np.float64], Dims(6, finite=False)] = dataclasses.field(
+        default_factory=lambda: np.full(6, np.nan)
+    )  # [m] height of the ground as each leg measures it, minus the map's; NaN before its first touchdown
 
 
 @dataclass(frozen=True, slots=True)

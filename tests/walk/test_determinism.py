@@ -39,6 +39,7 @@ WALKING = (
     topics.ACTUATOR_STATE,
     topics.CAMERA_STATE,
     topics.BODY_POSE,
+    topics.CAMERA_ERRORS,
     topics.SCAN,
     topics.SCAN_RECEIPT,
     topics.TERRAIN,

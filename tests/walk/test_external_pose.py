@@ -7,7 +7,6 @@ import pytest
 
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Fault
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ExternalPose, Mode
 from tests.support.external_localization import Localization, by_external_poses
@@ -18,8 +17,8 @@ FAULT_S, END_S = 9.0, 14.0
 SHIFT = from_xyz_rpy((0.4, 0.0, 0.0), np.zeros(3))
 
 
-def walked(distance: float, localization: Localization, **changes: object) -> Walk:
-    return walk(flat(distance, **changes), 1000, guests=[localization], around=by_external_poses(PROFILE))
+def walked(distance: float, localization: Localization) -> Walk:
+    return walk(flat(distance), 1000, guests=[localization], around=by_external_poses(PROFILE))
 
 
 def test_robot_walks_by_poses_with_noise_drift_and_delay() -> None:
@@ -60,17 +59,3 @@ def test_robot_holds_while_poses_stop_or_jump_and_goes_on_afterwards(change, rea
     assert all(reason in status.reason for status in told), "the planner gives the reason of perception"
     truth = [message for message in found.heard.of(topics.TRUTH) if FAULT_S + 3.0 < message.stamp_ns / S < END_S]
     assert np.ptp([message.T_world_body[0, 3] for message in truth]) < 0.005
-
-
-def test_restart_of_perception_fixes_the_frame_of_a_source_that_has_started_again() -> None:
-    def started_again(pose: ExternalPose) -> ExternalPose:
-        return replace(pose, T_frame_body=SHIFT @ pose.T_frame_body) if pose.stamp_ns * 1e-9 > FAULT_S else pose
-
-    restart = Fault(FAULT_S + 3.0, "perception", for_s=1.0)
-    found = walked(0.9, Localization(1, drift=0.0, change=started_again), faults=(restart,))
-    assert found.report.success, found.report.reason
-    assert found.report.pose_error_m.final < 0.02
-    before = [pose for pose in found.heard.of(topics.BODY_POSE) if FAULT_S + 1.0 < pose.stamp_ns * 1e-9 < FAULT_S + 3.0]
-    after = [pose for pose in found.heard.of(topics.BODY_POSE) if pose.stamp_ns * 1e-9 > FAULT_S + 5.0]
-    assert not any(pose.ok for pose in before)
-    assert all(pose.ok for pose in after)

@@ -161,6 +161,17 @@ class ElevationGrid:
                 self._cells.forget(axis, first % n[axis], leaving)
         self._low = np.array(low, dtype=np.int64)
 
+    def change_ground(self, change: NDArray[np.float64]) -> None:
+        """Change all heights by a x + b y + c, where change is (a, b, c)."""
+        a, b, c = (float(value) for value in change)
+        x, y = (np.empty(n) for n in self.shape)
+        for axis, along in enumerate((x, y)):
+            i = self._low[axis] + np.arange(self.shape[axis])
+            along[i % self.shape[axis]] = (i + 0.5) * self.resolution
+        plane = (a * x[:, None] + b * y[None, :] + c).astype(np.float32)
+        for heights in (self._cells.height, self._cells.rival, self._cells.first):
+            heights += plane
+
     def fuse(self, scan: ValidatedScan, ground: float | None = None) -> FusionCount:
         """Fuse a reduced scan; each cell counts at most once per scan.
 
@@ -307,6 +318,13 @@ class ElevationGrid:
         cell = _cell_indices(near, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
         height = np.where(cell >= 0, self._cells.height.ravel()[cell] + self._drift.value, np.nan)  # -1 is masked
         return np.asarray(height.reshape(p.shape[:-1]), dtype=np.float64)
+
+    def is_seen(self, p_world_xy: NDArray[np.float64]) -> bool:
+        """Return whether the cells at all points (..., 2) [m] {world} have been measured, not only assumed."""
+        points = np.asarray(p_world_xy, dtype=np.float64).reshape(-1, 2)
+        cell = _cell_indices(points, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
+        assumed, height = self._cells.assumed.ravel()[cell], self._cells.height.ravel()[cell]
+        return bool(((cell >= 0) & (assumed == 0) & np.isfinite(height)).all())
 
     def snapshot(self) -> ElevationSnapshot:
         """Copy the map in world order."""

@@ -46,11 +46,17 @@ class FootEvidence:
         for leg, p in zip(new.tolist(), apply(pose.T_world_odom, legs.touchdown_point[new]), strict=True):
             if not abs(float(grid.heights(p[:2])) - p[2]) <= MAX_HEIGHT_ERROR_M:  # or NaN
                 continue
-            seen = grid.heights(p[:2] + self._sole)
-            if legs.touchdown_contact[leg] and np.ptp(seen) <= _LEVEL_M:  # and not NaN
+            sole = p[:2] + self._sole
+            seen = grid.heights(sole)
+            if legs.touchdown_contact[leg] and grid.is_seen(sole) and np.ptp(seen) <= _LEVEL_M:
                 self.leg_heights.update(leg, float(p[2]), float(seen.mean()))
             p[2] -= self.leg_heights.differences[leg]
             grid.touch(p, _TOUCH_SIGMA_M, self._foot_radius_m)
+
+    def change_ground(self, change: Array, pose: BodyPose, legs: ActuatorState) -> None:
+        """Follow a change (3,) of the map's heights, see `ElevationGrid.change_ground`."""
+        feet = apply(pose.T_world_body, legs.feet)
+        self.leg_heights.change_ground(feet[:, :2] @ change[:2] + change[2])
 
     def confirmed_ground(self, grid: ElevationGrid, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> float | None:
         """Return the height [m] {world} of the lowest loaded foot's ground, None if the feet do not stand on the map.

@@ -42,6 +42,19 @@ class LegHeights:
         self.differences[leg] = np.clip(moved, -self._largest, self._largest)
         self._variances[leg] = (1.0 - gain) * variance
 
+    @property
+    def measured(self) -> Array:
+        """The differences (6,) [m] without the assumption that they are small; NaN before a leg's first touchdown."""
+        learned = _START_SIGMA_M**2 - self._variances
+        known = (learned > 0.0) & (self._largest > 0.0)
+        return np.where(known, self.differences * _START_SIGMA_M**2 / np.where(known, learned, 1.0), np.nan)
+
+    def change_ground(self, changes: Array) -> None:
+        """Follow a map whose heights at the feet changed by (6,) [m]."""
+        touched = self._variances < _START_SIGMA_M**2
+        moved = self.differences - np.where(touched, changes, 0.0)
+        self.differences = np.clip(moved, -self._largest, self._largest)
+
     def describe(self) -> str:
         """Return which leg differs most from the camera, as text for the operator; "" if none differs much."""
         leg = int(np.argmax(np.abs(self.differences)))

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from sextant.services.perception.config import Settings
 from sextant.services.perception.reduction.free_space_rays import compute_free_rays
 from sextant.services.perception.reduction.scan_reduction import reduce_scan
+from sextant.services.perception.registration.camera_correction import CameraCorrection
 from sextant.services.perception.registration.registration_result import RegistrationResult
 from sextant.shared.geometry import Array, to_millimetres
 from sextant.shared.robot.profile import Camera
@@ -17,9 +18,9 @@ _EMPTY_EVERY = 3  # [scans] interval at which pixels without a return count as f
 class ScanReducer:
     """Reduces registered frames of one camera to scans."""
 
-    def __init__(self, camera: Camera, settings: Settings):
+    def __init__(self, camera: Camera, settings: Settings, correction: CameraCorrection):
         """Initialize for a camera."""
-        self._camera, self._settings = camera, settings
+        self._camera, self._settings, self._correction = camera, settings, correction
         self._count = 0  # number of scans, which selects their free rays
 
     def reduce(self, image: DepthImage, found: RegistrationResult, share_of_points: float) -> Scan:
@@ -51,6 +52,7 @@ class ScanReducer:
             height_range_mm=reduced.spread,
             p_world_camera=np.array(found.T_world_camera[:3, 3]),
             pose_covariance=np.asarray(found.covariance, dtype=np.float64),
+            ground_change=self._correction.ground_change,
             free_rays_mm=self._free_rays(image, found, reduced.origin),
         )
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.acceptance import Acceptance
+from sextant.services.perception.registration.camera_correction import CameraCorrection
 from sextant.services.perception.registration.error_twist import covariance_at
 from sextant.services.perception.registration.external_poses import ExternalPoses
 from sextant.services.perception.registration.motion_prior import Motion
@@ -35,11 +36,11 @@ class RegistrationMethod(Protocol):
 class FrameRegistration:
     """Registers the frames of a robot's camera with the motion of its body as prior."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings, external: ExternalPoses | None = None):
+    def __init__(
+        self, profile: RobotProfile, settings: Settings, correction: CameraCorrection, external: ExternalPoses | None = None
+    ):
         """Start without a map; `external` gives the poses in place of a registration."""
-        self._profile, self._settings, self._external = profile, settings, external
-        self._T_body_camera = profile.camera.T_body_camera
-        self._T_camera_body = inverse(self._T_body_camera)
+        self._profile, self._settings, self._correction, self._external = profile, settings, correction, external
         self._method: RegistrationMethod = external or _make_method(profile, settings)
 
     def register(self, image: DepthImage, fault: str, motion: Motion, prior: Array, covariance: Array) -> RegistrationResult:
@@ -52,18 +53,19 @@ class FrameRegistration:
             prior: (4, 4) expected body pose {world}.
             covariance: (6, 6) [m, rad] of its error twist at the body.
         """
-        T_camera = prior @ self._T_body_camera
+        T_camera = prior @ self._correction.T_body_camera
         covariance = covariance_at(covariance, T_camera[:3, 3] - prior[:3, 3])
         if fault:  # a frozen image would match its old pose and hold the estimate there
             return refused_result(image.stamp_ns, T_camera, covariance, None, fault)
-        found = self._method.update(image.depth, image.stamp_ns, T_camera, covariance)
+        T_track, covariance_track = self._correction.in_track(T_camera, covariance)
+        found = self._correction.in_world(self._method.update(image.depth, image.stamp_ns, T_track, covariance_track))
         if motion.silence_s > SILENT_S and len(found.degenerate) and found.ok:
             return refused_result(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
         return found
 
     def T_world_body(self, found: RegistrationResult) -> Array:
         """Return the body pose (4, 4) of a result."""
-        return np.asarray(found.T_world_camera @ self._T_camera_body)
+        return np.asarray(found.T_world_camera @ inverse(self._correction.T_body_camera))
 
     def is_overturned(self, found: RegistrationResult, motion: Motion) -> bool:
         """Return whether the pose has the body on its side, but odometry upright."""
@@ -88,7 +90,9 @@ class FrameRegistration:
         else:
             self._method = _make_method(self._profile, self._settings)
         reason = f"{why}: the registration restarts"
-        return refused_result(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
+        return refused_result(
+            found.stamp_ns, np.asarray(T_world_body @ self._correction.T_body_camera), found.covariance, None, reason
+        )
 
 
 def describe_registration(found: RegistrationResult) -> str:

@@ -80,7 +80,6 @@ class ExternalPoseParams(Params):
     drift_share: float = ranged(0.3, 0.0, 1.0)  # [1] of the way and of the turn of the legs, by which poses may correct them
     drift_rate: float = ranged(0.01, 0.0, 0.2)  # [m/s] and [rad/s] by which poses may correct them as well
     max_tilt: float = ranged(0.25, 0.02, 1.0)  # [rad] tilt of the body against its legs
-    # On cobbles the map shows too few footholds for a larger uncertainty than these.
-    sigma: float = ranged(0.003, 0.001, 0.2)  # [m] standard deviation of a position of unknown uncertainty
-    sigma_angle: float = ranged(0.003, 0.001, 0.2)  # [rad] the same for the rotation
+    sigma: float = ranged(0.01, 0.001, 0.2)  # [m] standard deviation of a position of unknown uncertainty
+    sigma_angle: float = ranged(0.01, 0.001, 0.2)  # [rad] the same for the rotation
     max_sigma: float = ranged(0.2, 0.01, 10.0)  # [m] and [rad] maximum uncertainty of a pose

@@ -202,7 +202,10 @@ def test_scan_receipt_is_sent_before_mapping() -> None:
     rig = Rig()
     rig.stand(at())
     scan = ground_scan(rig.now_ns, 0.0)
-    assert next(iter(rig.mapper.step(scan, rig.inbox))) == ScanReceipt(scan.stamp_ns)
+    receipt = next(iter(rig.mapper.step(scan, rig.inbox)))
+    assert isinstance(receipt, ScanReceipt)
+    assert (receipt.stamp_ns, receipt.refused) == (scan.stamp_ns, "")
+    assert np.isnan(receipt.leg_heights).all()
 
 
 @pytest.mark.parametrize("every", [1, 2, 4])

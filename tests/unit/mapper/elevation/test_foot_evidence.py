@@ -11,6 +11,7 @@ from sextant.services.mapper.elevation.foot_evidence import FootEvidence, feet_s
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode
+from tests.support.grid_scans import centres, scan_of
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")
@@ -22,10 +23,19 @@ POSE = BodyPose(0, BODY, np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0
 FRONT = np.arange(6) == 0
 
 
+def assumed_at(height: float) -> ElevationGrid:
+    """Return a map of level ground that no camera has seen."""
+    grid = ElevationGrid(200, 0.01)
+    grid.seed_plane(np.array([[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9]]), np.array([height, 0.0, 0.0]))
+    return grid
+
+
 def grid_at(height: float) -> ElevationGrid:
     """Return a map of level ground."""
     grid = ElevationGrid(200, 0.01)
-    grid.seed_plane(np.array([[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9]]), np.array([height, 0.0, 0.0]))
+    points = np.column_stack([centres(grid), np.full(200 * 200, height)])
+    for _ in range(3):
+        grid.fuse(scan_of(points, np.full(len(points), 8), np.zeros(len(points)), (-0.9, 0.0, height + 0.5)))
     return grid
 
 
@@ -85,6 +95,13 @@ def test_height_of_one_leg_is_learned_and_kept_out_of_the_map() -> None:
     land(without, grid_at(0.0), 2, places)
     assert not without.leg_heights.differences.any()
     assert without.leg_heights.describe() == ""
+
+
+def test_assumed_ground_shows_no_difference_of_a_leg() -> None:
+    """It is the plane of the feet, which the camera has not seen."""
+    feet = FootEvidence(RADIUS, 0.01, leg_difference=0.02)
+    land(feet, assumed_at(0.0), 2, places_at(np.full(11, -0.008)))
+    assert not feet.leg_heights.differences.any()
 
 
 def test_difference_of_a_leg_is_bounded_and_edges_do_not_count() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sextant.services.perception.config import Settings
+from sextant.services.perception.registration.camera_correction import CameraCorrection
 from sextant.services.perception.registration.error_twist import error_twist
 from sextant.services.perception.registration.frame_registration import FrameRegistration
 from sextant.services.perception.registration.kiss_icp_adapter import KissRegistration
@@ -97,5 +98,6 @@ def test_empty_image_and_invalid_arguments_are_reported(world):
 def test_missing_library_is_named(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "kiss_icp.kiss_icp", None)
     monkeypatch.delitem(sys.modules, "sextant.services.perception.registration.kiss_icp_adapter")
+    profile = load_profile("phantomx_mk2")
     with pytest.raises(ValueError, match=r"needs the library kiss-icp: .*; pip install kiss-icp"):
-        FrameRegistration(load_profile("phantomx_mk2"), Settings(method="kiss-icp"))
+        FrameRegistration(profile, Settings(method="kiss-icp"), CameraCorrection(profile.camera))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sextant.services.perception.config import Settings
+from sextant.services.perception.registration.camera_correction import CameraCorrection
 from sextant.services.perception.registration.frame_registration import FrameRegistration
 from sextant.services.perception.registration.plugin_registration import PluginRegistration
 from sextant.shared.geometry import from_xyz_rpy
@@ -52,5 +53,7 @@ def test_frame_of_another_size_is_refused():
 
 
 def test_perception_uses_the_plugin_of_the_settings():
-    registration = FrameRegistration(PROFILE, Settings(registration="tests.support.plugins:Lost"))
+    registration = FrameRegistration(
+        PROFILE, Settings(registration="tests.support.plugins:Lost"), CameraCorrection(PROFILE.camera)
+    )
     assert isinstance(registration._method, PluginRegistration)
