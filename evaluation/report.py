@@ -69,7 +69,7 @@ class CameraFound:
     height_sigma_m: float = _NAN  # [m] its standard deviation
     depth_error: float = _NAN  # [1] relative, positive if the measured depth is too large
     depth_error_sigma: float = _NAN  # [1] its standard deviation
-    finding: str = ""  # what the operator was told at the end of the run, or empty
+    finding: str = ""  # sentence about the camera in the status at the end of the run, or empty
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Which leg lies: monitors of a walk whose findings name a servo or a leg, and decide whether to walk slower or to stop.
 
-    registers   goal, position and load of one reading contradict each other, see `GoalCheck`. The robot stops as long as they
-                do, the second time until torque is off.
+    registers   goal, position and load of one reading contradict each other, see `GoalCheck`. The robot stops while they do.
+                The second time it stops until torque is off.
     weakness    a servo shows its full torque and stays behind its goal. The robot walks slower, and stops at the second time.
     slips       standing feet move against each other as if a horn had slipped, see `stance_fit`. The robot stops, or walks
                 slower.

@@ -4,7 +4,7 @@ import numpy as np
 
 from sextant.shared.geometry import Array
 
-_LARGEST = np.array([0.02, 0.02, 0.1])  # [1, 1, m] between two scans; more is a new start of perception
+_LARGEST = np.array([0.02, 0.02, 0.1])  # [1, 1, m] between two scans; more is no slow correction
 
 
 class GroundChanges:
@@ -21,6 +21,8 @@ class GroundChanges:
             total: (3,) change since perception started.
         """
         last, self._total = self._total, total.copy()
+        if not total.any():  # perception has started again, with the mount of the profile
+            return None
         if last is None or (total == last).all() or not (np.abs(total - last) <= _LARGEST).all():
             return None
         return np.asarray(total - last)

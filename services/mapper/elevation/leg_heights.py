@@ -15,7 +15,7 @@ _START_SIGMA_M = 0.006  # [m] of the difference before the first touchdown: a fe
 _DRIFT_SIGMA_M = 0.001  # [m] of its change from touchdown to touchdown, because the pose drifts, too
 _TOUCH_SIGMA_M = 0.005  # [m] of one measurement: joint resolution, sag, and the map under one foot
 _OUTLIER_M = 0.03  # [m] a larger difference is an edge, not the leg
-_WORTH_TELLING_M = 0.004  # [m] difference from which the operator is told
+_WORTH_TELLING_M = 0.004  # [m] difference from which the status names the leg
 
 
 class LegHeights:

@@ -49,6 +49,15 @@ def test_new_start_of_perception_changes_nothing() -> None:
     assert step == pytest.approx([0.001, 0.0, 0.0])
 
 
+@pytest.mark.parametrize("small", [0.5, 0.01])
+def test_new_start_of_perception_after_a_small_correction_changes_nothing(small: float) -> None:
+    """The map would turn about the origin of {world}, which may be far away."""
+    changes = GroundChanges()
+    changes.next(small * FIRST)
+    assert changes.next(np.zeros(3)) is None
+    assert changes.next(np.zeros(3)) is None
+
+
 def test_legs_follow_the_ground() -> None:
     """The ground by touch does not change with the map, so the difference does."""
     legs = LegHeights(0.02)

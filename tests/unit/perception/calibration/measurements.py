@@ -1,4 +1,4 @@
-"""What a known robot measures during a calibration, by other formulas than those of the estimate."""
+"""Measurements of a known robot during a calibration, by other formulas than those of the estimate."""
 
 from dataclasses import dataclass, replace
 

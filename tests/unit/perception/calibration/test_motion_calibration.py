@@ -79,7 +79,7 @@ def test_direction_without_structure_says_nothing() -> None:
 
 
 def test_yaw_and_scale_are_shared_with_the_legs() -> None:
-    """A camera that is turned left cannot be told apart from legs that walk to the right."""
+    """Legs that walk to the right look like a camera that is turned left."""
     found = calibrated(walk(300), np.array([0.0, 0.0, 0.05]), 0.03)
     assert 0.025 < found.values[2] < 0.05
     assert 0.015 < found.values[SCALE] < 0.03
@@ -118,7 +118,7 @@ def test_corrected_errors_are_not_learned_twice() -> None:
 
 @pytest.mark.parametrize(("rotation", "height"), [((0.05, 0.0, 0.0), 0.0), ((0.0, 0.05, 0.0), 0.0), ((0.0, 0.0, 0.0), 0.006)])
 def test_heights_below_the_feet_show_roll_and_height(rotation: tuple[float, ...], height: float) -> None:
-    """The legs measure the true ground; the map has it where a wrong mount puts it."""
+    """The legs measure the true ground. A wrong mount moves the ground of the map."""
     feet = np.array([[x, y, -0.1] for y in (0.15, -0.15) for x in (0.18, 0.0, -0.18)])
     R = exp_so3(rotation)
     X = transform(R, P_BODY_CAMERA - R @ P_BODY_CAMERA + [0.0, 0.0, height])  # from the true camera to the profile's

@@ -1,4 +1,4 @@
-"""A registration of another package: what it is told, and what becomes of its pose."""
+"""A registration of another package: its arguments, and the use of its pose."""
 
 import numpy as np
 import pytest
