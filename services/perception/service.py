@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from sextant.services.perception.calibration.floor_view import expected_floor, floor_view
 from sextant.services.perception.calibration.online_calibration import OnlineCalibration
 from sextant.services.perception.cameras.image_quality import EMPTY, measured_share
 from sextant.services.perception.config import Settings
@@ -24,9 +25,10 @@ from sextant.services.perception.registration.registration_result import Registr
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
+from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, FloorView, Message, Preview, Scan
 
 _PREVIEW_NS = 180_000_000  # [ns] minimum time between two previews
+_FLOOR_NS = 90_000_000  # [ns] minimum time between two views of the floor
 _MAX_BLIND_TRAVEL_M = 0.6  # [m] largest distance walked over mapped ground while nothing is in the camera's range
 _CLOCK_S = 0.2  # [s] age up to which the newest odometry gives the robot's clock
 _MAX_FRAME_AGE_S = 0.3  # [s] largest age of a frame, because the planner does not use an older pose
@@ -44,7 +46,7 @@ class Perception:
         *(topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT),
         topics.EXTERNAL_POSE,
     )
-    publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.CAMERA_ERRORS, topics.SCAN, topics.PREVIEW)
+    publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.CAMERA_ERRORS, topics.FLOOR, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Start without a pose."""
@@ -52,6 +54,7 @@ class Perception:
         self.max_age_s = {topics.DEPTH.key: _MAX_FRAME_AGE_S}
         self.stages = Stages()
         intrinsics = profile.camera.intrinsics
+        self._profile = profile
         self._time_offset_ns = round(profile.camera.time_offset_s * 1e9)
         self._rectify = Rectifier(intrinsics, profile.camera.distortion)
         profile = replace(profile, camera=profile.camera.rectified)
@@ -73,7 +76,7 @@ class Perception:
         self._link = RateControl()
         self._frames = 0
         self._every = settings.frames_per_scan(profile.camera.sensor.rate_hz)
-        self._preview_ns = 0  # [ns] when the next preview is due
+        self._preview_due, self._floor_due = _Pace(_PREVIEW_NS), _Pace(_FLOOR_NS)
         self._words = "waiting for the first frame"
 
     def status(self) -> str:
@@ -87,10 +90,14 @@ class Perception:
         return f"{words}; {carries}"
 
     def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
-        """Register every n-th frame and publish its pose and scan, and then a preview.
+        """Register every n-th frame and publish its pose and scan; then publish a preview and the floor in the frame.
 
-        Leg odometry carries the pose between these frames.
+        Leg odometry carries the pose between the registered frames.
         """
+        yield from self._frame(image, inbox)
+        yield from self._floor(image, inbox)
+
+    def _frame(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
         if self._external is not None and (found := inbox.latest(topics.EXTERNAL_POSE)) is not None:
@@ -233,12 +240,34 @@ class Perception:
 
     def _preview(self, image: DepthImage, inbox: Inbox) -> Iterator[Preview]:
         """Yield a small picture of the frame if one is due and wanted."""
-        before_ns = self._preview_ns - image.stamp_ns
-        waits = 0 < before_ns <= _PREVIEW_NS + OUT_OF_ORDER_NS  # an older stamp is from another clock
-        if waits or not inbox.wanted(topics.PREVIEW) or not image.depth.size:
+        if not (inbox.wanted(topics.PREVIEW) and image.depth.size and self._preview_due(image.stamp_ns)):
             return
-        self._preview_ns = image.stamp_ns + _PREVIEW_NS
         with self.stages("preview"):
             picture = inbox.latest(topics.COLOR) if self._coloring is not None else None
             made = preview(image.stamp_ns, image.depth, self._camera.sensor, None if picture is None else picture.rgb)
         yield made
+
+    def _floor(self, image: DepthImage, inbox: Inbox) -> Iterator[FloorView]:
+        """Yield the floor in an unrectified frame if it is due and wanted."""
+        if not inbox.wanted(topics.FLOOR) or (legs := inbox.latest(topics.ACTUATOR_STATE)) is None:
+            return
+        if self._floor_due(image.stamp_ns):
+            with self.stages("floor"):
+                camera = self._profile.camera
+                soles = legs.feet - [0.0, 0.0, self._profile.foot.radius]
+                found = floor_view(image.stamp_ns, image.depth, camera, expected_floor(camera, soles))
+            yield found
+
+
+class _Pace:
+    """Tells when a message that is made at most once per period is due."""
+
+    def __init__(self, period_ns: int):
+        self._period_ns, self._due_ns = period_ns, 0
+
+    def __call__(self, stamp_ns: int) -> bool:
+        """Return whether it is due at this stamp [ns]; an older stamp than the last one is from another clock."""
+        if 0 < self._due_ns - stamp_ns <= self._period_ns + OUT_OF_ORDER_NS:
+            return False
+        self._due_ns = stamp_ns + self._period_ns
+        return True

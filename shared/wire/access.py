@@ -85,12 +85,13 @@ _SEEN: tuple[AnyTopic, ...] = (  # topics that the console displays, and small o
 _PLANNED = (t.SCAN_RECEIPT, t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
 _LED = (t.VELOCITY, t.GOAL, t.POSTURE, t.MODE, t.STOP, t.RECORD)
 _SENSED = (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.IMU)
+_PERCEIVED = (t.BODY_POSE, t.CAMERA_ERRORS, t.FLOOR, t.SCAN)
 _OBEYED = (t.STEP_PLAN, t.MODE, t.STOP)
 _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, IMU, perception",
-        (*_SENSED, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.EXTERNAL_POSE, t.CAMERA_ERRORS, t.SCAN, *_own("robot")),
+        (*_SENSED, *_PERCEIVED, t.ODOMETRY, t.ACTUATOR_STATE, t.EXTERNAL_POSE, *_own("robot")),
         (*_OBEYED, t.DEPTH, t.COLOR, t.IMU, t.ODOMETRY, t.ACTUATOR_STATE, t.EXTERNAL_POSE, t.SCAN_RECEIPT, *_PRESENCES),
         (*_own("base"), *_own("console")),
     ),
@@ -98,9 +99,14 @@ _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
         "base",
         "a base computer next to the robot: mapper, planner, console, recorder",
         (*_PLANNED, *_LED, t.RECORDER_STATE, t.EXTERNAL_POSE, *_own("base")),
-        (*_SEEN, t.SCAN, t.SCAN_RECEIPT, t.PASSAGE, t.IMU, t.EXTERNAL_POSE),
+        (*_SEEN, t.FLOOR, t.SCAN, t.SCAN_RECEIPT, t.PASSAGE, t.IMU, t.EXTERNAL_POSE),
     ),
-    Role("console", "an operator's computer: commands and views, but does not plan", (*_LED, *_own("console")), _SEEN),
+    Role(
+        "console",
+        "an operator's computer: commands and views, but does not plan",
+        (*_LED, *_own("console")),
+        (*_SEEN, t.FLOOR),
+    ),
     Role("viewer", "a viewer's computer: views, and may stop the robot", (t.STOP,), _SEEN),
 )
 

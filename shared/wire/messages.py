@@ -163,6 +163,17 @@ class Preview(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class FloorView(Message):
+    """The floor in a depth frame while a calibration subscribes; perception -> calibration.
+
+    A block has 40 x 40 pixels; the blocks are in rows, from the first pixel of the frame. Depth error and distortion of the
+    camera are not corrected.
+    """
+
+    inverse_depth: Annotated[NDArray[np.float64], Dims("block", finite=False)]  # [1/m] mean of a block; NaN: not the floor
+
+
+@dataclass(frozen=True, slots=True)
 class CameraState(Message):
     """State of the depth camera, a few times a second; camera -> planner, console."""
 

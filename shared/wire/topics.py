@@ -87,6 +87,7 @@ ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST,
 BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.015)
 EXTERNAL_POSE = Topic("external/pose", m.ExternalPose, 30.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
 CAMERA_ERRORS = Topic("perception/camera", m.CameraErrors, 2.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.003)
+FLOOR = Topic("perception/floor", m.FloorView, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.015)
 SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.018)
 SCAN_RECEIPT = Topic("mapper/receipt", m.ScanReceipt, 15.0, Delivery.LATEST, Lane.CONTROL, 1 * _KIB, 0.004)
 TERRAIN = Topic("mapper/terrain", m.TerrainMap, 15.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.030)
@@ -131,6 +132,7 @@ TOPICS: tuple[Topic[Any], ...] = (
     BODY_POSE,
     EXTERNAL_POSE,
     CAMERA_ERRORS,
+    FLOOR,
     SCAN,
     SCAN_RECEIPT,
     TERRAIN,

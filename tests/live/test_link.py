@@ -15,6 +15,7 @@ from benchmarks.net_testbed.link_outages import BACK_S, HOLD_S, OLDEST_S
 from benchmarks.net_testbed.namespace import NetTestbedError
 from benchmarks.net_testbed.testbed import PORT, TLS_PORT, Namespaces, NetTestbed, OneMachine
 from benchmarks.net_testbed.two_machines import TwoMachines
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Link
 from tests.support.commands import PATIENCE_S, ROOT, Command, skip_where_taken, write_course
 from tests.test_readme import commands
@@ -91,6 +92,23 @@ def walk_by_documented_commands(bed: NetTestbed, tmp_path: Path) -> None:
 
         halves.until(walked, PATIENCE_S, "a walk commanded by the base")
         assert bed.carried().from_robot > 0
+
+
+@pytest.mark.campaign
+def test_camera_is_calibrated_from_the_base_only(two_machines: NetTestbed, tmp_path: Path) -> None:
+    bed, own = two_machines, tmp_path / "my_robot.toml"
+    make_keys = documented_command(next(commands(PAGE)), bed, tmp_path)
+    with Command(*make_keys, cwd=tmp_path) as new:
+        assert new.status() == 0
+    words = (sys.executable, "-m", "sextant.deploy.cli", "camera", "calibrate", "--out", str(own), "--connect")
+    with TwoMachines(bed, tmp_path / "keys", "flat+usual", 1000) as halves:
+        halves.meet(PATIENCE_S)
+        on_robot = subprocess.run(bed.on_robot(*words, bed.robot_router), capture_output=True, text=True, check=False)
+        assert "no message of the planner arrives here" in on_robot.stderr
+        assert not any(heard.walks for heard in halves.heard)
+        calibrated = subprocess.run(bed.on_base(*words, bed.base_router), capture_output=True, text=True, check=False)
+        assert calibrated.returncode == 0, calibrated.stderr
+    assert len(load_profile(str(own)).calibration) >= 4
 
 
 @pytest.mark.campaign

@@ -3,27 +3,18 @@
 The inverse depth of a plane is an affine function of the pixel, so the floor is a plane in inverse depth, too.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.profile import Camera
+from sextant.shared.wire.messages import FloorView
 
 BLOCK_PX = 40  # [px] edge of a block
 _FULL = 0.7  # share of a block's pixels that must have a depth
 _ROUNDS = 10  # of the fit of the floor
 _FIRST_SHARE, _LAST_SHARE = 0.25, 0.05  # [1] relative inverse depth by which the floor may differ, in the first and last round
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FloorView:
-    """The floor in one depth image."""
-
-    stamp_ns: int
-    inverse_depth: Array  # (blocks,) [1/m] mean of a block; NaN where it shows no floor
 
 
 def block_centres(lens: Intrinsics) -> tuple[Array, Array]:
@@ -32,6 +23,17 @@ def block_centres(lens: Intrinsics) -> tuple[Array, Array]:
     middle = (BLOCK_PX - 1) / 2
     v, u = np.mgrid[:rows, :columns] * BLOCK_PX + middle
     return u.ravel(), v.ravel()
+
+
+def expected_floor(camera: Camera, soles: Array) -> Array:
+    """Return the inverse depth (blocks,) [1/m] of the plane of soles (6, 3) [m] {body}; NaN beyond the camera's range."""
+    lens = camera.intrinsics
+    u, v = block_centres(lens)
+    centre = soles.mean(axis=0)
+    normal = np.linalg.svd(soles - centre)[2][2]
+    rays = camera.T_body_camera[:3, :3] @ np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(len(u))])
+    w = -(normal @ rays) / (normal @ (camera.T_body_camera[:3, 3] - centre))
+    return np.where(w > 1.0 / camera.sensor.max_range, w, np.nan)
 
 
 def floor_view(stamp_ns: int, raw: NDArray[np.uint16], camera: Camera, expected: Array) -> FloorView:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.perception.calibration.floor_view import FloorView, block_centres
+from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.shared.geometry import Array, align_rigid, exp_so3
 from sextant.shared.robot.kinematics import feet_and_shanks
 from sextant.shared.robot.profile import Camera, RobotProfile
+from sextant.shared.wire.messages import FloorView
 
 # The numbers of a robot and what is assumed about them before the measurement: one standard deviation.
 _BLOCKS: tuple[tuple[str, int, float | tuple[float, ...]], ...] = (

@@ -5,23 +5,27 @@ from typing import Literal
 
 import numpy as np
 
-from sextant.services.perception.calibration.floor_view import FloorView, block_centres, floor_view
+from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.services.perception.calibration.kinematic_calibration import JointTrack, Recording
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.kinematics import body_inverse, within_limits
-from sextant.shared.robot.profile import Camera, RobotProfile
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import ActuatorState, Message, Mode, ModeCommand, PostureCommand, Tick
+from sextant.shared.wire.messages import ActuatorState, FloorView, Message, Mode, ModeCommand, PostureCommand, Tick
 
 POSTURES = 36
 _LARGEST = np.array([0.035, 0.035, 0.03, *np.radians([11.0, 11.0, 14.0])])  # [m] and [rad] of a posture
 _INSIDE = 0.9  # share of the reach that a posture may use
 _SETTLE_NS = 400_000_000  # [ns] at rest before the next posture
-_VIEW_NS = 90_000_000  # [ns] minimum time between two depth images that are used
+_BEAT_HZ = 30.0
 _ORDER_NS = 500_000_000  # [ns] interval of repeated orders
-_NEEDED: dict[str, AnyTopic] = {"depth image": topics.DEPTH, "pose from perception": topics.BODY_POSE}
+_NEEDED: dict[str, AnyTopic] = {
+    "view of the floor": topics.FLOOR,
+    "pose from perception": topics.BODY_POSE,
+    "message of the planner": topics.PLANNER_STATUS,
+}
 _STANDING_NS = 1_500_000_000  # [ns] of standing before the first posture; the order to stand has then been executed
 _READ_NS = 4_000_000  # [ns] mean time from the reading of a joint to the stamp of its state: servos are read one by one
 _PATIENCE_NS = 15_000_000_000  # [ns] for one posture
@@ -63,7 +67,7 @@ class Survey:
     """Operator that leads a robot through the postures of a calibration, and records what it measures."""
 
     name = "operator"
-    subscribes = (topics.DEPTH, topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.BODY_POSE)
+    subscribes = (topics.FLOOR, topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.BODY_POSE)
     publishes = (topics.POSTURE, topics.MODE)
 
     def __init__(self, profile: RobotProfile, holder: str = "operator"):
@@ -73,13 +77,13 @@ class Survey:
             profile: The robot.
             holder: Name under which this operator leads.
         """
-        self.trigger = Every.hz(topics.DEPTH.rate_hz)
+        self.trigger = Every.hz(_BEAT_HZ)
         self.stages = Stages()
         self.finished = False
         self.reason = ""  # why it is finished, as text
         self.reached = 0  # postures that the robot had
         self.refusal = ""  # why the last posture that it did not have was refused
-        self._profile, self._holder = profile, holder
+        self._holder, self._blocks = holder, len(block_centres(profile.camera.intrinsics)[0])
         self._robot = RobotClockEstimate()
         self._postures = [*postures(profile), np.zeros(6)]  # the robot ends in its rest pose
         self._number = -1  # of the current posture; -1: standing up
@@ -140,6 +144,8 @@ class Survey:
                 self._number, self._began_ns = 0, now
             elif now - self._began_ns > _RISE_NS:
                 lacks = f"no {' and no '.join(missing)} arrives here" if missing else self._obstacle(state)
+                if inbox.latest(topics.PLANNER_STATUS) is None:
+                    lacks += "; of two machines, calibrate on the one with the planner"
                 self._finish(f"the robot is not ready: {lacks}")
             return
         if state is None or state.epoch != self._epoch or state.lease not in ("", self._holder):
@@ -180,21 +186,11 @@ class Survey:
         """Keep the newest joint angles and the newest view of the floor."""
         if not self._states or state.stamp_ns > self._states[-1].stamp_ns:
             self._states.append(state)
-        image = inbox.latest(topics.DEPTH)
-        if image is None or (self._views and image.stamp_ns - self._views[-1].stamp_ns < _VIEW_NS):
+        view = inbox.latest(topics.FLOOR)
+        if view is None or (self._views and view.stamp_ns <= self._views[-1].stamp_ns):
             return
-        camera = self._profile.camera
-        expected = expected_floor(camera, state.feet - [0.0, 0.0, self._profile.foot.radius])
-        self._views.append(floor_view(image.stamp_ns, image.depth, camera, expected))
+        if (count := len(view.inverse_depth)) != self._blocks:
+            self._finish(f"{self._blocks} blocks of an image expected, found {count}: perception runs with another profile")
+            return
+        self._views.append(view)
         self._numbers.append(self._number)
-
-
-def expected_floor(camera: Camera, soles: Array) -> Array:
-    """Return the inverse depth (blocks,) [1/m] of the plane of soles (6, 3) [m] {body}; NaN beyond the camera's range."""
-    lens = camera.intrinsics
-    u, v = block_centres(lens)
-    centre = soles.mean(axis=0)
-    normal = np.linalg.svd(soles - centre)[2][2]
-    rays = camera.T_body_camera[:3, :3] @ np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(len(u))])
-    w = -(normal @ rays) / (normal @ (camera.T_body_camera[:3, 3] - centre))
-    return np.where(w > 1.0 / camera.sensor.max_range, w, np.nan)

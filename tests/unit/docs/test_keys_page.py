@@ -53,7 +53,7 @@ def test_publishers_and_subscribers_match_services() -> None:
     cells = [row.split("|") for row in PAGE.splitlines()]
     rows = {row[1].strip(" `"): row[7:9] for row in cells if len(row) == 11}
     assert [text.strip() for text in rows["operator/mode"]] == [
-        "console, `sextant run`, `sextant order`, `sextant topics ros2`",
+        "console, `sextant run`, `sextant order`, `sextant camera calibrate`, `sextant topics ros2`",
         "actuator, stop",
     ]
     assert "perception" in rows["camera/color"][1]

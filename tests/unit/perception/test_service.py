@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, is_rigid, yaw_of
@@ -15,7 +16,8 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
+from sextant.shared.wire.messages import BodyPose, DepthImage, FloorView, Message, Odometry, Preview, Scan
+from tests.support.states import actuator_state
 
 MS = 1_000_000
 FRAME = 33 * MS
@@ -403,3 +405,17 @@ def test_previews_continue_after_camera_clock_reset(world) -> None:  # type: ign
     assert any(isinstance(m, Preview) for _ in range(6) for m in rig.frame(body_at(0.0)))
     rig.now_ns = 0
     assert any(isinstance(m, Preview) for _ in range(6) for m in rig.frame(body_at(0.0)))
+
+
+def test_floor_is_published_at_10_hz_only_with_subscribers(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    state = actuator_state(PROFILE, feet=PROFILE.rest_feet())
+    rig.inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), rig.now_ns)
+    assert not [m for _ in range(4) for m in rig.frame(body_at(0.0)) if isinstance(m, FloorView)]
+    rig.wanted = {topics.FLOOR}
+    made = [rig.frame(body_at(0.0)) for _ in range(30)]
+    views = [m for messages in made for m in messages if isinstance(m, FloorView)]
+    assert 9 <= len(views) <= 11
+    assert all(not isinstance(m, FloorView) for messages in made for m in messages[:-1]), "it delays no scan"
+    assert {len(view.inverse_depth) for view in views} == {len(block_centres(SMALL)[0])}
+    assert np.isfinite(views[0].inverse_depth).any()

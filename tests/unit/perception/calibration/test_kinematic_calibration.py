@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sextant.services.perception.calibration import kinematic_calibration
-from sextant.services.perception.calibration.floor_view import BLOCK_PX, floor_view
+from sextant.services.perception.calibration.floor_view import BLOCK_PX, expected_floor, floor_view
 from sextant.services.perception.calibration.kinematic_calibration import Estimate
-from sextant.services.perception.calibration.survey import expected_floor, postures
+from sextant.services.perception.calibration.survey import postures
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.kinematics import body_forward, body_inverse
 from sextant.shared.robot.profiles import load_profile

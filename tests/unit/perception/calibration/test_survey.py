@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.services.perception.calibration.survey import POSTURES, Survey
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
-    DepthImage,
+    FloorView,
     Message,
     Mode,
     ModeCommand,
@@ -25,8 +26,8 @@ from tests.unit.perception.calibration.measurements import PROFILE
 
 S = 1_000_000_000
 POSE = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
-LENS = PROFILE.camera.intrinsics
-BLIND = DepthImage(0, np.zeros((LENS.height, LENS.width), dtype=np.uint16))
+BLOCKS = len(block_centres(PROFILE.camera.intrinsics)[0])
+BLIND = FloorView(0, np.full(BLOCKS, np.nan))
 
 
 class Rig:
@@ -39,8 +40,8 @@ class Rig:
         self.state: ActuatorState | None = actuator_state(
             PROFILE, mode=Mode.HOLD, reason="standing", lease="me", epoch=7, feet=PROFILE.rest_feet()
         )
-        self.image: DepthImage | None = BLIND
-        self.planner = PlannerStatus(0, "arrived", "the body is in the commanded posture", 0, 0, -1)
+        self.view: FloorView | None = BLIND
+        self.planner: PlannerStatus | None = PlannerStatus(0, "arrived", "the body is in the commanded posture", 0, 0, -1)
 
     def run(self, seconds: float) -> list[Message]:
         """Advance time in tenths of a second; return what the survey publishes."""
@@ -48,7 +49,7 @@ class Rig:
         for _ in range(round(10 * seconds)):
             self.now_ns += S // 10
             self.inbox.now_ns = self.now_ns
-            for message in (self.state, POSE, self.planner, self.image):
+            for message in (self.state, POSE, self.planner, self.view):
                 if message is not None:
                     fresh = replace(message, stamp_ns=self.now_ns)
                     self.inbox.receive(topics.OF_TYPE[type(fresh)], codec.encode(fresh), self.now_ns)
@@ -59,6 +60,11 @@ class Rig:
         """Change the state of the actuator."""
         assert self.state is not None
         self.state = replace(self.state, **state)
+
+    def plan(self, **status: Any) -> None:
+        """Change the status of the planner."""
+        assert self.planner is not None
+        self.planner = replace(self.planner, **status)
 
 
 def test_robot_stands_first_and_then_takes_each_posture() -> None:
@@ -88,7 +94,7 @@ def test_robot_that_stands_already_begins_after_the_order_was_executed() -> None
 
 def test_posture_that_the_legs_refuse_is_left_out_with_its_reason() -> None:
     rig = Rig()
-    rig.planner = replace(rig.planner, state="blocked", reason="posture: out of reach")
+    rig.plan(state="blocked", reason="posture: out of reach")
     rig.run(100.0)
     assert rig.survey.finished
     assert rig.survey.reached == 0
@@ -117,15 +123,25 @@ def test_robot_that_never_stands_or_never_moves_ends_the_survey() -> None:
     rig.set(lease="another")
     rig.run(31.0)
     assert rig.survey.reason.startswith("the robot is not ready: another leads it")
-    blind = Rig()
-    blind.image = None
-    blind.run(31.0)
-    assert blind.survey.reason == "the robot is not ready: no depth image arrives here"
+    deaf = Rig()
+    deaf.view = deaf.planner = None
+    deaf.run(31.0)
+    assert "no view of the floor and no message of the planner arrives here; of two machines" in deaf.survey.reason
     stuck = Rig()
-    stuck.planner = replace(stuck.planner, state="waiting", reason="no fresh pose")
+    stuck.plan(state="waiting", reason="no fresh pose")
     stuck.run(20.0)
     assert stuck.survey.reason == "posture 1 is not reached: no fresh pose"
     (stop,) = stuck.survey.withdraw()
     assert isinstance(stop, ModeCommand)
     assert (stop.mode, stop.holder) == ("stop", "me")
     assert Survey(PROFILE).withdraw() == ()
+
+
+def test_perception_with_another_profile_ends_the_survey() -> None:
+    rig = Rig()
+    rig.view = FloorView(0, np.full(BLOCKS - 1, np.nan))
+    rig.run(10.0)
+    assert (
+        rig.survey.reason == f"{BLOCKS} blocks of an image expected, found {BLOCKS - 1}: perception runs with another profile"
+    )
+    assert rig.survey.recording() is None

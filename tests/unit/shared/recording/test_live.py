@@ -11,7 +11,7 @@ from sextant.shared.files.whole_files import WriteError
 from sextant.shared.recording.live import LiveRecorder
 from sextant.shared.recording.reader import is_whole, read
 from sextant.shared.recording.rotation import NoRoomError, Rotation
-from sextant.shared.recording.writer import Recorder, Unwritable
+from sextant.shared.recording.writer import LEFT_OUT, Recorder, Unwritable
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Scan
@@ -127,11 +127,11 @@ class Link:
         return True
 
 
-def test_all_topics_except_images_are_subscribed_until_close(tmp_path: Path) -> None:
+def test_all_topics_except_images_and_floors_are_subscribed_until_close(tmp_path: Path) -> None:
     link: Any = Link()
     with LiveRecorder(recorder(tmp_path / "r")) as live:
         live.listen(link, lambda: 7)
-        assert sorted(link.listeners) == sorted(t.key for t in topics.TOPICS if t not in (topics.DEPTH, topics.COLOR))
+        assert sorted(link.listeners) == sorted(t.key for t in topics.TOPICS if t not in LEFT_OUT)
         topic, message, _ = some_messages()[0]
         link.listeners[topic.key](topic, codec.encode(message))
     assert not link.listeners
