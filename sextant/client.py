@@ -27,6 +27,7 @@ from sextant.shared.wire.messages import (
     Mode,
     ModeCommand,
     PlannerStatus,
+    PostureCommand,
     StopOrder,
     Tick,
     VelocityCommand,
@@ -37,12 +38,14 @@ Command: TypeAlias = Literal["off", "stop", "stand", "walk", "sit"]
 
 CONNECT_S = 10.0  # [s] in which the actuator has to publish its first state
 READY_S = 120.0  # [s] in which all services have to report; the first start compiles for a minute
+POSTURE_S = 20.0  # [s] in which the body has to reach a posture
 COMMAND_S = 20.0  # [s] in which a command has to be finished
 PATIENCE_S = 10.0  # [s] for which the planner may be blocked before `goto` gives up; the planner itself tries again after 12 s
 LOST_S = 20.0  # [s] for which the robot may be silent before `goto` gives up
 _SILENT_S = 2.0  # [s] without a state, after which the actuator counts as silent
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the same command: the robot may restart
 _SETTLED_NS = 200_000_000  # [ns] after a command, before a state counts as its result
+_POSTURE_SETTLED_NS = 500_000_000  # [ns] the same for a posture: a state of the planner does not name the posture
 _WALKING = (Mode.WALK, Mode.HOLD)  # modes while a walk command is obeyed: the robot holds while the planner plans
 
 
@@ -243,26 +246,90 @@ class Client:
         """
         place = np.array([x_m, y_m])
         goal = Goal(0, place[None], tolerance_m, speed_mps, body_height_m, lift_m, gap_crossing=gap_crossing)
-        self._commander.move(goal)
-        given_ns = self._command("walk")
         blocked = _Blocked(patience_s)
 
-        def done(status: Status) -> bool:
-            planner = status.planner
-            answers = planner is not None and planner.stamp_ns > given_ns + _SETTLED_NS
-            if failure := self._not_walking(status.actuator) or blocked.see(planner if answers else None):
+        def arrived(planner: PlannerStatus) -> bool:
+            if failure := blocked.see(planner):
                 raise ClientError(failure)
-            return planner is not None and answers and planner.has_arrived_at(place)
+            return planner.has_arrived_at(place)
+
+        self._reach(goal, arrived, _SETTLED_NS, within_s, f"the goal is not reached within {within_s:g} s")
+        self._end_walk()
+
+    def posture(
+        self,
+        forward_m: float = 0.0,
+        left_m: float = 0.0,
+        up_m: float = 0.0,
+        *,
+        roll_rad: float = 0.0,
+        pitch_rad: float = 0.0,
+        yaw_rad: float = 0.0,
+        within_s: float = POSTURE_S,
+    ) -> None:
+        """Move the body over its standing feet, and hold it there until another command.
+
+        The posture is relative to the rest pose, in which the feet are nearest to the resting stance; all zero is that pose.
+        Returns once the body has reached it. Positive pitch lowers the front. No map is needed.
+
+        Args:
+            forward_m: [m] from the rest pose.
+            left_m: [m] from the rest pose.
+            up_m: [m] from the rest pose.
+            roll_rad: [rad] about the forward axis.
+            pitch_rad: [rad] about the left axis.
+            yaw_rad: [rad] about the vertical axis.
+            within_s: [s] in which the body has to reach the posture.
+
+        Raises:
+            ValueError: A value is not finite.
+            ClientError: The robot refuses, the legs do not reach the posture, the robot obeys another client, or it does not
+                get there in time. The robot then stops.
+        """
+        place, rpy = np.array([forward_m, left_m, up_m]), np.array([roll_rad, pitch_rad, yaw_rad])
+
+        def reached(planner: PlannerStatus) -> bool:
+            if planner.state == "blocked":
+                raise ClientError(planner.reason)
+            return planner.state == "arrived"
+
+        failure = f"the posture is not reached within {within_s:g} s"
+        self._reach(PostureCommand(0, place, rpy), reached, _POSTURE_SETTLED_NS, within_s, failure)
+
+    def _reach(
+        self,
+        motion: Goal | PostureCommand,
+        reached: Callable[[PlannerStatus], bool],
+        settled_ns: int,
+        within_s: float,
+        late: str,
+    ) -> None:
+        """Command a motion, and wait until the planner reports that it is complete; stop the robot if it fails.
+
+        Args:
+            motion: The motion.
+            reached: Whether a state of the planner is that of the complete motion; it may raise.
+            settled_ns: [ns] after the command, before a state of the planner counts.
+            within_s: [s] in which the motion has to be complete.
+            late: Error text if it is not complete in time.
+        """
+        self._commander.move(motion)
+        given_ns = self._command("walk")
+
+        def done(status: Status) -> bool:
+            if failure := self._not_walking(status.actuator):
+                raise ClientError(failure)
+            planner = status.planner
+            return planner is not None and planner.stamp_ns > given_ns + settled_ns and reached(planner)
 
         try:
-            self._until(done, within_s, f"the goal is not reached within {within_s:g} s", silent_s=LOST_S)
+            self._until(done, within_s, late, silent_s=LOST_S)
         except BaseException as failure:
             try:
                 self._end_walk()
             except ClientError as second:
                 failure.add_note(f"afterwards: {second}")
             raise
-        self._end_walk()
 
     def _end_walk(self) -> None:
         """Stop if a command is still repeated."""
@@ -367,7 +434,7 @@ class Commander:
         topics.PLANNER_STATUS,
         *topics.HEALTH_OF.values(),
     )
-    publishes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP, topics.VELOCITY, topics.GOAL)
+    publishes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP, topics.VELOCITY, topics.GOAL, topics.POSTURE)
 
     def __init__(self, name: str, take: bool = False, may_lead: bool = True):
         """Start without a command.
@@ -389,7 +456,7 @@ class Commander:
         self._holder = ""  # of the lease, in the newest state
         self._has_commanded = False  # whether this client has given a command to move
         self._command: tuple[Command, int] | None = None  # and its sequence number: the robot's time [ns] when it was given
-        self._motion: VelocityCommand | Goal | None = None
+        self._motion: VelocityCommand | Goal | PostureCommand | None = None
         self._due_ns: dict[str, int] = {}
         self._lock = threading.Lock()
 
@@ -413,7 +480,7 @@ class Commander:
             if self._command is not None and self._command[1] == number:
                 self._command = None
 
-    def move(self, motion: VelocityCommand | Goal) -> None:
+    def move(self, motion: VelocityCommand | Goal | PostureCommand) -> None:
         """Set the motion that is repeated while the robot is to walk; its stamp is ignored."""
         with self._lock:
             self._motion = motion

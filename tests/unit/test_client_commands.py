@@ -27,6 +27,7 @@ from sextant.shared.wire.messages import (
     Mode,
     ModeCommand,
     PlannerStatus,
+    PostureCommand,
     StopOrder,
     Tick,
     VelocityCommand,
@@ -330,7 +331,7 @@ def test_client_commands_nothing_while_another_client_of_its_name_leads(robot: R
     robot.set(mode=Mode.WALK, lease="me")
     with Client(name="me", take=True) as me:
         taken = r"another client named 'me' leads the robot; .* Client\(\.\.\., name=\.\.\.\)"
-        for command in (me.stand, me.sit, lambda: me.walk(0.08), lambda: me.goto(1.0, 0.5)):
+        for command in (me.stand, me.sit, lambda: me.walk(0.08), lambda: me.goto(1.0, 0.5), me.posture):
             with pytest.raises(ClientError, match=taken):
                 command()
         assert robot.sent == []
@@ -355,7 +356,7 @@ def test_certificate_without_walk_permission_may_stop(robot: Robot, monkeypatch:
     robot.set(mode=Mode.WALK, lease="you")
     with Client("tls/robot.local:7448", keys="keys", name="me") as me:
         began_ns = robot.now_ns
-        for command in (me.stand, me.sit, lambda: me.walk(0.08), lambda: me.goto(1.0, 0.5)):
+        for command in (me.stand, me.sit, lambda: me.walk(0.08), lambda: me.goto(1.0, 0.5), me.posture):
             with pytest.raises(ClientError, match="this certificate"):
                 command()
         assert robot.now_ns == began_ns, "at once"
@@ -386,6 +387,39 @@ def test_velocity_is_repeated_while_walk_is_ordered(robot: Robot) -> None:
         robot.sent.clear()
         robot.wait()
         assert not any(isinstance(m, VelocityCommand) for m in robot.sent)
+
+
+def test_posture_is_repeated_until_another_command(robot: Robot) -> None:
+    def then() -> None:
+        if any(isinstance(message, PostureCommand) for message in robot.sent):
+            robot.planner = replace(robot.planner, state="stepping" if robot.now_ns < reached_ns else "arrived")
+
+    robot.planner, robot.then = replace(robot.planner, state="arrived"), then  # in an earlier posture
+    with Client(name="me") as me:
+        me.stand()
+        reached_ns = robot.now_ns + 2_000 * MS
+        me.posture(0.01, up_m=-0.02, pitch_rad=0.1)
+        assert robot.now_ns >= reached_ns
+        sent = [m for m in robot.sent if isinstance(m, PostureCommand)]
+        assert {(*m.place.tolist(), *m.rpy.tolist()) for m in sent} == {(0.01, 0.0, -0.02, 0.0, 0.1, 0.0)}
+        for _ in range(20):
+            robot.wait()
+        assert len([m for m in robot.sent if isinstance(m, PostureCommand)]) >= len(sent) + 4
+    assert robot.orders() == ["stand", "walk", "stop"]
+
+
+def test_posture_out_of_reach_raises_reason_and_stops(robot: Robot) -> None:
+    robot.planner = replace(robot.planner, state="blocked", reason="posture: the left front leg does not reach it")
+    with Client(name="me") as me:
+        me.stand()
+        with pytest.raises(ClientError, match="posture: the left front leg"):
+            me.posture(0.5)
+        assert robot.orders() == ["stand", "walk", "stop"]
+        robot.planner = replace(robot.planner, state="stepping", reason="moving")
+        with pytest.raises(ClientError, match="the posture is not reached within 2 s"):
+            me.posture(0.01, within_s=2.0)
+        with pytest.raises(ValueError, match="finite"):
+            me.posture(float("inf"))
 
 
 def test_restarted_robot_clock_cancels_command(robot: Robot) -> None:

@@ -11,7 +11,7 @@ import sextant
 from sextant.client import Client, Commander, Status
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.scenario.scenario import load_scenario
-from sextant.shared.wire.messages import Goal, Mode, VelocityCommand
+from sextant.shared.wire.messages import Goal, Mode, PostureCommand, VelocityCommand
 
 ROOT = Path(__file__).parents[2]
 FLAT = load_scenario("flat")
@@ -66,6 +66,13 @@ def test_client_stands_walks_reaches_goal_and_stops() -> None:
     assert np.linalg.norm(led.place() - goal) < 0.035, "the tolerance, and a correction of the pose"
     assert led.status.planner is not None
     np.testing.assert_array_equal(led.status.planner.path, [goal])
+    feet = []
+    for left in (0.0, 0.02):
+        led.commander.move(PostureCommand(0, np.array([0.0, left, 0.0]), np.zeros(3)))
+        led.run.run(led.run.now_ns() + 3 * S)
+        assert led.status.planner.reason == "the body is in the commanded posture"
+        feet.append(led.status.actuator.feet)
+    np.testing.assert_allclose(feet[0] - feet[1], np.tile([0.0, 0.02, 0.0], (6, 1)), atol=0.003)
     led.commander.give("stop")
     led.until(Mode.HOLD, 5.0)
 
