@@ -102,13 +102,15 @@ class Planner:
             yield self._status(state)
 
     def _is_due(self, state: ActuatorState, inbox: Inbox) -> bool:
-        """Return whether to decide: after a pause, or when a map arrives after a step by an older one.
+        """Return whether to decide: after a pause, for a new posture, or when a map arrives after a step by an older one.
 
         Refused steps are replaced after a pause: the refusal of the newest one may be on its way.
         """
         step = self._decision.step
         by_map = step is not None and step.map_ns >= 0 and not self._plans.refusals.count
-        return state.stamp_ns >= self._due_ns or (by_map and inbox.waiting(topics.TERRAIN))
+        posture = inbox.fresh(topics.POSTURE)
+        is_new = posture is not None and self._steps.is_new_posture(posture)
+        return state.stamp_ns >= self._due_ns or is_new or (by_map and inbox.waiting(topics.TERRAIN))
 
     def _execute(self, decision: Decision, state: ActuatorState) -> Iterator[Message]:
         """Yield the plan of a decision, and keep the decision for the status."""

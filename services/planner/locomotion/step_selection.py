@@ -119,10 +119,14 @@ class StepSelector:
             return Decision("blocked", f"by touch: {refusals.words()}", retry_s=self._settings.revision.interval_s)
         return Decision("blocked", f"by touch: {found.reason}", found.leg, retry_s=self._settings.revision.interval_s)
 
+    def is_new_posture(self, command: PostureCommand) -> bool:
+        """Return whether a posture differs from the last one that was selected."""
+        return not np.array_equal([command.place, command.rpy], self._posture)
+
     def select_posture(self, command: PostureCommand, robot: RobotEstimate) -> Decision | None:
         """Return the motion of the body to a posture; None while a step runs."""
         refusals = self._plans.refusals
-        if not np.array_equal([command.place, command.rpy], self._posture):
+        if self.is_new_posture(command):
             refusals.forget()
             self._posture = np.array([command.place, command.rpy])
         stance = self._plans.stance_after(robot)

@@ -151,7 +151,9 @@ def test_posture_that_the_actuator_refuses_is_blocked_with_its_reason() -> None:
         plan = rig.plans(20)[0]
         rig.cycle(refused_plan_ns=plan.stamp_ns, plan_refusal="out of reach")
     said = [(m.state, m.reason) for _ in range(30) for m in rig.cycle() if isinstance(m, PlannerStatus)]
-    assert ("blocked", "posture: out of reach") in said
+    assert said[-1] == ("blocked", "posture: out of reach")
+    rig.posture = replace(rig.posture, place=np.array([0.0, 0.0, 0.02]))
+    assert rig.plans(3), "another posture is tried at once"
 
 
 def test_reduced_servo_pace_shortens_step() -> None:
