@@ -9,6 +9,7 @@ from sextant.services.perception.registration.params import (
     AlignmentParams,
     ExternalPoseParams,
     KeyframeParams,
+    TextureParams,
 )
 from sextant.shared.files import config
 from sextant.shared.files.config import ranged
@@ -39,6 +40,7 @@ class PerceptionParams(Params):
     reduction: ReductionParams = field(default_factory=ReductionParams)
     alignment: AlignmentParams = field(default_factory=AlignmentParams)
     keyframes: KeyframeParams = field(default_factory=KeyframeParams)
+    texture: TextureParams = field(default_factory=TextureParams)
     acceptance: AcceptanceParams = field(default_factory=AcceptanceParams)
     external: ExternalPoseParams = field(default_factory=ExternalPoseParams)
 

@@ -14,13 +14,15 @@ P = TypeVar("P", np.uint16, np.uint8)
 class Rectifier:
     """Maps the images of one camera to those of a pinhole camera with the same intrinsics."""
 
-    def __init__(self, lens: Intrinsics, distortion: float):
+    def __init__(self, lens: Intrinsics, distortion: float, interpolation: int = cv2.INTER_NEAREST):
         """Compute the pixels to read.
 
         Args:
             lens: Intrinsics of both cameras.
             distortion: Radial distortion k1 of Brown's model; with zero, images stay as they are.
+            interpolation: OpenCV's number of the interpolation between pixels.
         """
+        self._interpolation = interpolation
         self._shape = (lens.height, lens.width)
         self._pixels: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         if distortion:
@@ -34,4 +36,4 @@ class Rectifier:
         """Return the rectified image (h, w, ...); 0 where the camera sees nothing. An image of another size stays as it is."""
         if self._pixels is None or image.shape[:2] != self._shape:
             return image
-        return np.asarray(cv2.remap(image, *self._pixels, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT))
+        return np.asarray(cv2.remap(image, *self._pixels, self._interpolation, borderMode=cv2.BORDER_CONSTANT))

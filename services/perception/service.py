@@ -57,6 +57,7 @@ class Perception:
         self._profile = profile
         self._time_offset_ns = round(profile.camera.time_offset_s * 1e9)
         self._rectify = Rectifier(intrinsics, profile.camera.distortion)
+        self._rectify_gray = Rectifier(intrinsics.gray, profile.camera.distortion, cv2.INTER_LINEAR)
         profile = replace(profile, camera=profile.camera.rectified)
         self._settings, self._camera = settings, profile.camera
         self._odometry = OdometryHistory()
@@ -120,7 +121,7 @@ class Perception:
     def _rectified(self, image: DepthImage) -> DepthImage:
         """Return an image without distortion."""
         depth = self._rectify(image.depth)
-        return image if depth is image.depth else replace(image, depth=depth)
+        return image if depth is image.depth else replace(image, depth=depth, gray=self._rectify_gray(image.gray))
 
     def _exposed_ns(self, image: DepthImage | ColorImage) -> int:
         """Return the time [ns] at which an image was exposed."""

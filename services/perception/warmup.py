@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.perception.config import Settings
+from sextant.services.perception.registration.params import TextureParams
+from sextant.services.perception.registration.texture_tracking import TextureTracker
 from sextant.services.perception.service import Perception
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profile import Camera, RobotProfile
@@ -24,6 +26,8 @@ _LOOKS = 10  # frames used per place: enough to settle, and to search while in d
 def compile_functions(profile: RobotProfile, settings: Settings) -> None:
     """Compile all functions that perception calls for a robot's camera."""
     camera = profile.camera
+    if camera.color:
+        _compile_tracking(camera, settings.texture)
     warmup = WarmupRunner(Perception(profile, settings))
     frames = _LOOKS * settings.frames_per_scan(camera.sensor.rate_hz)
     frame_ns = round(1e9 / camera.sensor.rate_hz)
@@ -39,6 +43,20 @@ def compile_functions(profile: RobotProfile, settings: Settings) -> None:
             stamp_ns += frame_ns
             warmup.deliver(DepthImage(stamp_ns, depth))
             warmup.deliver(ColorImage(stamp_ns, rgb))
+
+
+def _compile_tracking(camera: Camera, params: TextureParams) -> None:
+    """Compile the tracking of texture, on a random image of level ground in front of the camera."""
+    lens = camera.intrinsics.gray
+    x, y = (np.arange(lens.width) - lens.cx) / lens.fx, (np.arange(lens.height) - lens.cy) / lens.fy
+    planes = np.zeros((lens.height, lens.width, 4), dtype=np.float32)
+    planes[..., 2:] = 1.0
+    tracker = TextureTracker(lens, x, y, 1, params)
+    tracker.load(np.random.default_rng(0).integers(0, 256, planes.shape[:2], dtype=np.uint8))
+    tracker.store(0, planes)
+    tracks = tracker.track(np.eye(4), np.zeros(1, dtype=np.int64), np.eye(4)[None])
+    assert tracks is not None
+    tracks.equations(np.eye(4))
 
 
 def _picture(camera: Camera, T_world_body: Array) -> NDArray[np.uint16]:

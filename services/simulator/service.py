@@ -268,7 +268,7 @@ class Simulator:
             depth = camera.depth()
             if depth is not None:
                 stamp_ns, due_ns = camera.delivery(self._stamps.stamp(now_ns))
-                self._stamps.hold(DepthImage(stamp_ns, depth), due_ns)
+                self._stamps.hold(DepthImage(stamp_ns, depth, camera.gray), due_ns)
                 # Colour is rendered at the time of a depth frame, so that their pixels correspond.
                 if camera.has_color and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
                     self._stamps.hold(ColorImage(stamp_ns, camera.color()), due_ns)

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from sextant.shared.files import config
 from sextant.shared.wire import topics
+from sextant.shared.wire.messages import MAX_GRAY
 
+_GRAY_PIXELS = 320 * 240  # [px] of a grey image, approximately
 _MOST_PIXELS = min(topics.cells_that_fit(topics.DEPTH), topics.cells_that_fit(topics.COLOR))
 
 
@@ -42,6 +44,20 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @property
+    def gray_factor(self) -> int:
+        """Number of pixels of the depth image along each edge of a pixel of the grey image."""
+        least = math.ceil(max(self.width, self.height) / MAX_GRAY)
+        return max(least, round(math.sqrt(self.width * self.height / _GRAY_PIXELS)))
+
+    @property
+    def gray(self) -> "Intrinsics":
+        """Intrinsics of the grey image."""
+        k = self.gray_factor
+        middle = (k - 1) / 2
+        cx, cy = (self.cx - middle) / k, (self.cy - middle) / k
+        return Intrinsics(self.width // k, self.height // k, self.fx / k, self.fy / k, cx, cy)
 
     def check_raw(self, depth: NDArray[np.uint16]) -> None:
         """Check that a raw depth image is a (h, w) uint16 array.

@@ -582,6 +582,26 @@ class CameraOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class Floor:
+    """Look of the ground in the grey images of a camera with colour."""
+
+    # uniform: without texture; black: it returns almost no light to the eye; glossy: it mirrors the lamps of a ceiling
+    look: Literal["textured", "uniform", "black", "glossy"] = "textured"
+    contrast: float = 0.10  # [1] standard deviation of the texture's brightness, relative to its mean
+    light: float = 0.15  # [1] relative change of the light over time, and over the ground
+    light_period_s: float = 7.0  # [s] of the change over time
+    exposure_s: float = 0.012  # [s] exposure time, during which motion blurs the image
+    noise: float = 1.5  # [1/255] standard deviation of a pixel
+
+    def __post_init__(self) -> None:
+        _expect(0.0 <= self.contrast <= 0.3, "a contrast from 0 to 0.3", self.contrast)
+        _expect(0.0 <= self.light <= 0.5, "a light from 0 to 0.5", self.light)
+        _expect(0.1 <= self.light_period_s <= 1e6, "a light_period_s from 0.1 to 1000000 s", self.light_period_s)
+        _expect(0.0 <= self.exposure_s <= 0.1, "an exposure_s from 0 to 0.1 s", self.exposure_s)
+        _expect(0.0 <= self.noise <= 50.0, "a noise from 0 to 50", self.noise)
+
+
+@dataclass(frozen=True, slots=True)
 class Variation:
     """Random deviation of a run's physics from the profile.
 
@@ -689,6 +709,7 @@ class Trouble:
     bus_faults: tuple[BusFault, ...] = ()
     movers: tuple[Mover, ...] = ()
     camera: CameraOptions | None = None  # replaces the course's camera options
+    floor: Floor | None = None  # replaces the course's floor
     mismatch: Mismatch | None = None  # replaces the course's mismatch
     extra_time_s: float = 0.0  # [s] simulated, added to the course's time limit
 
@@ -710,6 +731,7 @@ class Scenario:
     real_robot: str = ""
     walk: Walk = field(default_factory=Walk)
     camera: CameraOptions = field(default_factory=CameraOptions)
+    floor: Floor = field(default_factory=Floor)
     variation: Variation = field(default_factory=Variation)
     mismatch: Mismatch = field(default_factory=Mismatch)
     pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # adds the recorded pose error of a visual SLAM system
@@ -763,6 +785,7 @@ class Scenario:
             bus_faults=(*self.bus_faults, *trouble.bus_faults),
             movers=(*self.movers, *trouble.movers),
             camera=trouble.camera or self.camera,
+            floor=trouble.floor or self.floor,
             mismatch=trouble.mismatch or self.mismatch,
             time_limit_s=self.time_limit_s + trouble.extra_time_s,
         )

@@ -31,6 +31,7 @@ MAX_WAYPOINTS = 32  # of a goal
 MAX_PATH = 64  # corners of a planned path
 MAX_SECTION = 512  # steps in a planned section of a passage
 MAX_PREVIEW = 1 << 17  # bytes of a preview image
+MAX_GRAY = 640  # [px] edges of a grey image
 MAX_TREE = 8000  # edges of the search tree that are sent
 
 
@@ -141,6 +142,10 @@ class DepthImage(Message):
     """
 
     depth: Annotated[NDArray[np.uint16], Dims("h", "w")]  # raw units of the sensor's depth_scale, 0 = no return
+    # Brightness of a camera with colour at the same instant, or empty; a pixel is the mean of a square of pixels
+    gray: Annotated[NDArray[np.uint8], Dims("gray_h", "gray_w", optional=True, lengths=(1, MAX_GRAY))] = dataclasses.field(
+        default_factory=lambda: _NO_CELLS
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,7 @@ class Topic(Generic[M]):
 _KIB = 1024
 _CHANGES = " and at each change"
 
-DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.008)
+DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4496 * _KIB, 0.008)
 COLOR = Topic("camera/color", m.ColorImage, 5.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.015)
 CAMERA_STATE = Topic("camera/state", m.CameraState, 4.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.003)
 PREVIEW = Topic("camera/preview", m.Preview, 5.0, Delivery.LATEST, Lane.BULK, 300 * _KIB, 0.010)
@@ -157,11 +157,12 @@ _HEADER_BYTES = 2048  # maximum size of a map or image message without its array
 
 
 def cells_that_fit(topic: Topic[Any]) -> int:
-    """Return how many map cells or pixels, with all layers, fit into a message."""
+    """Return how many map cells or pixels, with all layers, fit into a message, besides its grey image."""
     arrays = [detail for _, base, detail in m.schema(topic.type) if base is np.ndarray]
     layers = [(dtype, dims.shape) for dtype, dims in arrays if dims.shape[:2] in (("nx", "ny"), ("h", "w"))]
+    gray = sum(dims.lengths[1] ** 2 for _, dims in arrays if dims.optional and dims.lengths)  # [bytes] at most
     per_cell = sum(dtype.itemsize * math.prod(shape[2:]) for dtype, shape in layers)
-    return int((topic.max_bytes - _HEADER_BYTES) // per_cell)
+    return int((topic.max_bytes - _HEADER_BYTES - gray) // per_cell)
 
 
 def topic_named(key: str, namespace: str = "sextant") -> Topic[Any]:

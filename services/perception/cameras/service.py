@@ -9,6 +9,7 @@ from typing import Self
 from sextant.services.perception.cameras.camera import Camera, CameraError, Frame
 from sextant.services.perception.cameras.camera_supervisor import CameraSupervisor
 from sextant.services.perception.cameras.config import Settings
+from sextant.services.perception.cameras.gray_image import NO_GRAY, gray_image
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 from sextant.services.perception.imu.reading import BodyImu, ImuReading
 from sextant.shared.robot.profile import RobotProfile
@@ -58,6 +59,7 @@ class CameraService:
         self._supervisor = CameraSupervisor(device, opener, ImageQualityCheck(camera.sensor, (i.height, i.width)), clock)
         self._color_due_ns = clock()
         self._color_wanted = False
+        self._lens, self._sends_gray = i, camera.color and settings.gray
         self._state_due_ns = clock()
         self._told: tuple[bool, str] | None = None
         self._pictures = 0
@@ -99,8 +101,8 @@ class CameraService:
         frame = self._take()
         if frame is not None:
             self._pictures += 1
-            yield DepthImage(frame.stamp_ns, frame.depth)
-            if frame.rgb is not None and tick.stamp_ns >= self._color_due_ns:
+            yield DepthImage(frame.stamp_ns, frame.depth, gray_image(frame.rgb, self._lens) if self._sends_gray else NO_GRAY)
+            if frame.rgb is not None and self._color_wanted and tick.stamp_ns >= self._color_due_ns:
                 self._color_due_ns = tick.stamp_ns + round(1e9 / self._settings.color_rate_hz)
                 yield ColorImage(frame.stamp_ns, frame.rgb)
         if self._thread is None:
@@ -114,7 +116,7 @@ class CameraService:
 
     def _take(self) -> Frame | None:
         if self._thread is None:
-            return self._supervisor.read(self._color_wanted)
+            return self._supervisor.read(self._color_wanted or self._sends_gray)
         return self._newest.popleft() if self._newest else None
 
     def _trouble(self) -> str:
@@ -129,7 +131,7 @@ class CameraService:
         try:
             while not self._stop.is_set():
                 self._called_ns = self._clock()
-                frame = self._supervisor.read(self._color_wanted)
+                frame = self._supervisor.read(self._color_wanted or self._sends_gray)
                 self._readings.extend(self._supervisor.read_imu())
                 self._called_ns = -1
                 if frame is not None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sextant.services.perception.registration.projective_matching import Match
 from sextant.shared.runtime.compiled import compiled
 
-_INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors, so ten count as one
+INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors, so ten count as one
 _SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise: weight 0 below the first, 1 above the second
 _SWEEPS = 12  # maximum sweeps of Jacobi's method; six are enough for a (6, 6) matrix
 
@@ -28,7 +28,7 @@ def constraint_weights(match: Match) -> tuple[NDArray[np.float64], NDArray[np.fl
     if not match.N.any():
         return np.zeros((6, 6)), np.eye(6)
     B, directions, unknown = _weights(match.H, match.N)
-    return _INFORMATION_SHARE / match.keyframes * B, directions[unknown]
+    return INFORMATION_SHARE / match.keyframes * B, directions[unknown]
 
 
 @compiled

@@ -58,7 +58,10 @@ class FrameRegistration:
         if fault:  # a frozen image would match its old pose and hold the estimate there
             return refused_result(image.stamp_ns, T_camera, covariance, None, fault)
         T_track, covariance_track = self._correction.in_track(T_camera, covariance)
-        found = self._correction.in_world(self._method.update(image.depth, image.stamp_ns, T_track, covariance_track))
+        frame = image.depth, image.stamp_ns, T_track, covariance_track
+        method = self._method
+        found = method.update(*frame, image.gray) if isinstance(method, Registration) else method.update(*frame)
+        found = self._correction.in_world(found)
         if motion.silence_s > SILENT_S and len(found.degenerate) and found.ok:
             return refused_result(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
         return found
@@ -130,6 +133,7 @@ def _make_method(profile: RobotProfile, settings: Settings) -> RegistrationMetho
         Acceptance.of(settings.acceptance, settings.legs),
         alignment=settings.alignment,
         keyframes=settings.keyframes,
+        texture=settings.texture if camera.color else None,
         max_range=settings.registration_range,
         blocks_across=settings.blocks_across,
     )

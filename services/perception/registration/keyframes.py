@@ -65,8 +65,8 @@ class Keyframes:
         """Delete all keyframes."""
         self._count = 0
 
-    def add(self, T_world_camera: NDArray[np.float64]) -> None:
-        """Store the loaded frame as a keyframe at a pose."""
+    def add(self, T_world_camera: NDArray[np.float64]) -> int:
+        """Store the loaded frame as a keyframe at a pose, and return its number."""
         if self._count < len(self._planes):
             slot = self._count
             self._count += 1
@@ -76,6 +76,11 @@ class Keyframes:
         self._poses[slot] = T_world_camera
         self._stored += 1
         self._age[slot] = self._stored
+        return slot
+
+    def planes(self, slot: int) -> NDArray[np.float32]:
+        """Return the planes (rows, columns, 4) of a keyframe, see `BlockFrame.fit_planes`."""
+        return np.asarray(self._planes[slot])
 
     def is_new_view(self, T_world_camera: NDArray[np.float64], overlap: float) -> bool:
         """Return whether a pose is far enough from every keyframe to store a new one.

@@ -83,3 +83,24 @@ class ExternalPoseParams(Params):
     sigma: float = ranged(0.01, 0.001, 0.2)  # [m] standard deviation of a position of unknown uncertainty
     sigma_angle: float = ranged(0.01, 0.001, 0.2)  # [rad] the same for the rotation
     max_sigma: float = ranged(0.2, 0.01, 10.0)  # [m] and [rad] maximum uncertainty of a pose
+
+
+@dataclass(frozen=True, slots=True)
+class TextureParams(Params):
+    """Texture of the ground in the grey images of a camera with colour."""
+
+    use: bool = True  # whether texture fixes what the shape of the ground does not, such as x, y and yaw on a floor
+    keyframes: int = ranged(2, 1, 32)  # number of keyframes whose texture is tracked
+    min_texture: float = ranged(1.5, 0.1, 100.0)  # [1/255 per px] gradient of the brightness of a point, in each direction
+    search_px: float = ranged(12.0, 1.0, 50.0)  # [px] maximum distance from where the legs expect a point
+    min_correlation: float = ranged(0.75, 0.0, 1.0)  # [1] of a patch with the frame
+    min_tracks: int = ranged(25, 6, 1000)  # points that agree with a pose
+    min_agreement: float = ranged(0.6, 0.0, 1.0)  # [1] share of the points found that agree with it
+    min_found: float = ranged(0.3, 0.0, 1.0)  # [1] share of the expected points that agree with it
+    slip: float = ranged(0.006, 0.0, 0.5)  # [m] by which legs and texture may differ since a keyframe ...
+    slip_share: float = ranged(0.25, 0.0, 1.0)  # [1] ... plus this share of the way
+    turn: float = ranged(0.01, 0.0, 1.0)  # [rad] the same for yaw ...
+    turn_rate: float = ranged(0.3, 0.0, 5.0)  # [rad/m] ... per way
+    trusted_margin: float = ranged(3.0, 1.0, 100.0)  # [1] times `slip` and `turn`, once texture is trusted
+    probation: float = ranged(0.15, 0.0, 10.0)  # [m] way over which texture must agree with the legs before it is trusted
+    patience: int = ranged(3, 0, 1000)  # consecutive frames with too few points after which the trust is lost

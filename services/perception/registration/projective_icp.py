@@ -22,12 +22,13 @@ from sextant.services.perception.registration.error_twist import ALONG_FLOOR, er
 from sextant.services.perception.registration.fit_history import FitHistory
 from sextant.services.perception.registration.keyframes import Keyframes
 from sextant.services.perception.registration.moving_body import is_one_body, is_within_body
-from sextant.services.perception.registration.params import AlignmentParams, KeyframeParams
+from sextant.services.perception.registration.params import AlignmentParams, KeyframeParams, TextureParams
 from sextant.services.perception.registration.pose_doubt import PoseDoubt
 from sextant.services.perception.registration.projective_matching import Match
 from sextant.services.perception.registration.registration_result import RegistrationResult, first_result, refused_result
 from sextant.services.perception.registration.relocalization_map import MapContradiction, RelocalizationMap, surface_points
 from sextant.services.perception.registration.rest_pose import RestPose
+from sextant.services.perception.registration.texture_constraint import TextureConstraint
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 # The legs may have slipped if registration has moved the pose this far from the prior.
@@ -56,6 +57,7 @@ class Registration:
         *,
         alignment: AlignmentParams | None = None,
         keyframes: KeyframeParams | None = None,
+        texture: TextureParams | None = None,
         max_range: float = 2.5,
         blocks_across: int = 160,
     ) -> None:
@@ -67,6 +69,7 @@ class Registration:
             acceptance: Limits for accepting a pose.
             alignment: Parameters of the alignment.
             keyframes: Parameters of the keyframes.
+            texture: Parameters of texture, or None for a camera without grey images.
             max_range: [m] depth at which surfaces are cropped (Masri 2016, section 4.2), because a triangulating camera
                 distorts distant ones.
             blocks_across: Blocks per image row. 160 are enough for ground; cluttered scenes show their planes to more blocks.
@@ -78,6 +81,9 @@ class Registration:
         kept, self._alignment = keyframes or KeyframeParams(), alignment or AlignmentParams()
         self._keyframes = Keyframes(self._frame, kept.stored, kept.active, kept.distance, kept.angle)
         self._aligner = Aligner(self._keyframes, rows * columns, self._alignment)
+        self._texture: TextureConstraint | None = None
+        if texture is not None and texture.use and not self._acceptance.legless:
+            self._texture = TextureConstraint(intrinsics.gray, self._frame, self._keyframes, kept.stored, texture)
         self._relocalization_map = RelocalizationMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
         limits = self._acceptance
         self._fit = FitHistory(limits)
@@ -97,6 +103,7 @@ class Registration:
         stamp_ns: int,
         T_world_camera_prior: NDArray[np.float64],
         prior_covariance: NDArray[np.float64],
+        gray: NDArray[np.uint8] | None = None,
     ) -> RegistrationResult:
         """Register one frame; the first one is placed at its prior.
 
@@ -106,6 +113,7 @@ class Registration:
             T_world_camera_prior: (4, 4) expected pose, e.g. the last pose composed with the odometry since.
             prior_covariance: (6, 6) [m, rad] of its error twist, as in `RegistrationResult`. It covers the odometry since the
                 last registered frame, or is wide if the velocity is only assumed constant.
+            gray: Grey image of the same instant, of the size of `Intrinsics.gray`; its texture is used.
 
         Returns:
             The pose, or the prior and the reason of the failure. The covariance is relative to the recently mapped ground: it
@@ -116,12 +124,14 @@ class Registration:
         """
         information = prior_information(T_world_camera_prior, prior_covariance)
         self._frame.load(depth_raw)
+        if self._texture is not None:
+            self._texture.begin_frame(gray, T_world_camera_prior)
         reason = check_measured_share(self._frame, self._acceptance)
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, None, reason)
         if len(self._keyframes) == 0:
             self._remember(T_world_camera_prior)
-            self._rest.end_frame(T_world_camera_prior)
+            self._end_frame(T_world_camera_prior)
             return first_result(stamp_ns, T_world_camera_prior, prior_covariance)
         found, believable = self._align(T_world_camera_prior, prior_covariance, information)
         reason = (
@@ -136,10 +146,10 @@ class Registration:
         self._failures = 0
         if not checked.doubted:  # good frames with new content extend the map
             self._fit.add(match)
-            self._unobserved = found.degenerate
+            self._unobserved = found.shapeless
             if self._keyframes.is_new_view(found.T, match.overlap):
                 self._remember(found.T)
-        self._rest.end_frame(found.T)
+        self._end_frame(found.T)
         return RegistrationResult(stamp_ns, found.T, found.covariance, match.overlap, match.rmse, found.degenerate, True, "")
 
     def _align(
@@ -153,8 +163,10 @@ class Registration:
         """
         if self._acceptance.legless:
             found = self._aligner.align_around(T_prior, covariance, information)
-        else:
+        elif self._texture is None or self._rest.pose is not None:
             found = self._aligner.align(T_prior, information)
+        else:
+            found = self._texture.align(self._aligner, T_prior, information)
         believable = covariance
         if self._may_have_slipped(found, T_prior, covariance):
             wide = covariance + np.diag(_SLIPPED**2)
@@ -281,15 +293,25 @@ class Registration:
         shift = np.abs(directions @ error_twist(T, T_expected))
         return not self._acceptance.legless and bool((shift > _UNOBSERVED_SHIFT).any())
 
+    def _end_frame(self, T: NDArray[np.float64]) -> None:
+        """Set the pose (4, 4) of the frame."""
+        self._rest.end_frame(T)
+        if self._texture is not None:
+            self._texture.end_frame(T)
+
     def _remember(self, T: NDArray[np.float64]) -> None:
         """Store the loaded frame as a keyframe and add it to the map."""
-        self._keyframes.add(T)
+        slot = self._keyframes.add(T)
+        if self._texture is not None:
+            self._texture.store(slot)
         frame = self._frame
         self._relocalization_map.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
 
     def _forget_map(self) -> None:
         """Forget the map, and everything that is known relative to it."""
         self._keyframes.clear()
+        if self._texture is not None:
+            self._texture.clear()
         self._relocalization_map.clear()
         self._fit.reset()
         self._doubt.reset()
@@ -304,7 +326,7 @@ class Registration:
         reason: str,
     ) -> RegistrationResult:
         self._failures += 1
-        self._rest.end_frame(T_prior)
+        self._end_frame(T_prior)
         if self._failures >= self._acceptance.patience and match is not None:
             # The prior has drifted too far for a search: start a new map there.
             self._forget_map()

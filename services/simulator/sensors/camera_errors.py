@@ -23,6 +23,7 @@ class CameraErrors:
         self._scale, self._bias = np.float32(1.0 / (1.0 + camera.depth_error)), np.float32(depth_bias)
         self._is_exact = camera.depth_error == 0.0 and depth_bias == 0.0
         self._seen_at = _undistorted_pixels(camera.intrinsics, camera.distortion) if camera.distortion else None
+        self._gray_seen_at = _undistorted_pixels(camera.intrinsics.gray, camera.distortion) if camera.distortion else None
 
     def depth(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the inverse depth (h, w) [1/m] that the camera measures; 0 without a surface."""
@@ -34,6 +35,12 @@ class CameraErrors:
     def color(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the colour image (h, w, 3) that the camera takes."""
         return rgb if self._seen_at is None else self._distort(rgb, cv2.INTER_LINEAR)
+
+    def gray(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the grey image that the camera takes."""
+        if self._gray_seen_at is None:
+            return image
+        return np.asarray(cv2.remap(image, *self._gray_seen_at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
     def _distort(self, image: NDArray[Any], interpolation: int) -> NDArray[Any]:
         assert self._seen_at is not None

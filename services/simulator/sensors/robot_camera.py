@@ -11,12 +11,16 @@ from sextant.services.simulator.sensors.camera_errors import CameraErrors
 from sextant.services.simulator.sensors.camera_faults import CameraFaults
 from sextant.services.simulator.sensors.color_camera import ColorCamera
 from sextant.services.simulator.sensors.depth_camera import DepthCamera
+from sextant.services.simulator.sensors.gray_camera import GrayCamera
 from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import Stages
 from sextant.shared.scenario.mover import Mover
 from sextant.shared.scenario.scenario import Fault, Scenario
+
+_GRAY_STREAM = 8  # random stream of the run's seed for texture and light
+_NO_GRAY = np.zeros((0, 0), dtype=np.uint8)
 
 
 class RobotCamera:
@@ -55,7 +59,11 @@ class RobotCamera:
             loss=scenario.camera.loss,
         )
         self._errors = CameraErrors(profile.camera, scenario.deviation(seed).depth_bias)
-        self._color_camera = ColorCamera(self._renderer, world.terrain, color_random) if profile.camera.color else None
+        has_color = profile.camera.color
+        self._color_camera = ColorCamera(self._renderer, world.terrain, color_random) if has_color else None
+        gray_random = np.random.default_rng([seed, _GRAY_STREAM])
+        self._gray_camera = GrayCamera(profile.camera.intrinsics, scenario.floor, gray_random) if has_color else None
+        self._gray = _NO_GRAY
         self._faults = [fault for fault in scenario.faults_at(seed) if fault.of_camera]
         self._effects: CameraFaults | None = None  # of faults of the picture, from the first of them on
         self._movers = Movers(scenario.movers, world.terrain, movers_random)
@@ -111,6 +119,8 @@ class RobotCamera:
         rendered = self._frames % self._frames_per_picture == 0
         if not rendered:
             self._depth_camera.skip_frame()
+            if self._gray_camera is not None:
+                self._gray_camera.skip_frame()
         return rendered
 
     def depth(self) -> NDArray[np.uint16] | None:
@@ -132,7 +142,7 @@ class RobotCamera:
         T_world_camera = self._T_world_camera
         with self._stages("render"):
             self._renderer.settle(self._world.sunk)
-            picture = self._renderer.inverse_depth(T_world_camera, self._solids())
+            picture = self._rendered(T_world_camera)
             if effects is not None:
                 picture = effects.scene(fault, picture, T_world_camera)
         with self._stages("depth noise"):
@@ -141,6 +151,20 @@ class RobotCamera:
                 depth = effects.measured(fault, depth, T_world_camera, self._world.time_ns)
         self._last_depth = depth
         return depth
+
+    def _rendered(self, T_world_camera: Array) -> NDArray[np.float32]:
+        """Return inverse depth (h, w) [1/m]; a camera with colour also takes its grey image."""
+        if self._gray_camera is None:
+            return self._renderer.inverse_depth(T_world_camera, self._solids())
+        canvas = self._renderer.surfaces(T_world_camera, self._solids())
+        with self._stages("gray"):
+            self._gray = self._errors.gray(self._gray_camera.picture(canvas, T_world_camera, self._world.time_ns * 1e-9))
+        return canvas.w
+
+    @property
+    def gray(self) -> NDArray[np.uint8]:
+        """Grey image of the newest depth frame; empty without a colour sensor."""
+        return self._gray
 
     def color(self) -> NDArray[np.uint8]:
         """Return the colour image (h, w, 3) now.

@@ -1,6 +1,7 @@
 """Camera service: its messages and state; it never waits for the device."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -76,6 +77,18 @@ def test_color_is_read_only_with_subscribers_and_has_depth_stamp(kit) -> None:  
     colors, depths = of(made, ColorImage), of(made, DepthImage)
     assert 8 <= len(colors) <= 11
     assert {c.stamp_ns for c in colors} <= {d.stamp_ns for d in depths}
+
+
+@pytest.mark.parametrize(("color", "sends", "expected"), [(True, True, 90), (True, False, 0), (False, True, 0)])
+def test_a_camera_with_colour_sends_grey_images_with_depth(kit, color: bool, sends: bool, expected: int) -> None:  # type: ignore[no-untyped-def]
+    profile = replace(kit.profile, camera=replace(kit.profile.camera, color=color))
+    lens = profile.camera.intrinsics
+    device = Device(kit, np.full((lens.height, lens.width, 3), 90, np.uint8))
+    made = run(CameraService(profile, Settings(gray=sends), device.open, kit.clock), kit, 3.0)
+    grays = [image.gray for image in of(made, DepthImage) if image.gray.size]
+    assert len(grays) == pytest.approx(expected, abs=20 if expected else 0)
+    assert all((gray == 90).all() for gray in grays)
+    assert not of(made, ColorImage), "without a subscriber"
 
 
 def test_unplugged_device_is_reported_immediately_and_reopened(kit) -> None:  # type: ignore[no-untyped-def]

@@ -239,7 +239,11 @@ def test_relocalization_is_refused_unless_searches_agree(world, monkeypatch, obj
     def search(self, T_expected):
         away["x"] += 0.1
         return Aligned(
-            apply_twist(T_expected, np.array([away["x"], 0.0, 0.0, 0.0, 0.0, 0.0])), WIDE, np.zeros((0, 6)), self._match
+            apply_twist(T_expected, np.array([away["x"], 0.0, 0.0, 0.0, 0.0, 0.0])),
+            WIDE,
+            np.zeros((0, 6)),
+            np.zeros((0, 6)),
+            self._match,
         )
 
     monkeypatch.setattr(Registration, "_search", search)

@@ -89,6 +89,8 @@ def test_largest_configurable_map_and_image_fit_their_message(topic: Topic[Any])
         if base is np.ndarray:
             dtype, dims = detail
             shape = (rows, columns, *dims.shape[2:]) if len(dims.shape) >= 2 and isinstance(dims.shape[0], str) else dims.shape
+            if dims.lengths and dims.optional:  # the grey image
+                shape = (dims.lengths[1], dims.lengths[1])
             most = dims.most or 1
             noise = rng.integers(0, 2 if dtype.kind == "b" else most + 1 if dims.most else 120, shape)
             if dims.packed:
