@@ -47,6 +47,8 @@ _SIGMA_W = 0.004  # [1/m] first guess of the errors of a block's mean inverse de
 _REWEIGHTINGS = 5
 # [1] by which errors are larger than those of independent measurements: slip and backlash are correlated between postures
 _CORRELATION = 1.5
+# [1] by which errors of the feet across the floor are larger than their deviation: a foot that slips stays where it is
+_SLIP = 3.0
 MIN_LEGS = 4  # that stand in a view
 _UNKNOWN = 20.0  # [1] freedom of the feet's errors along one axis that trims, links and places of the feet take
 _DELAY_STEP_S = 0.005  # [s] of the numerical derivative by the delay: joint angles are interpolated
@@ -209,7 +211,7 @@ class _Problem:
         postures = float(self.weights.sum())
         freedom = np.maximum(np.array([4.5, 4.5, 6.0]) * postures * self._stands.mean() - _UNKNOWN, 1.0)
         sigma = np.sqrt((self.weights[:, None, None] * feet**2).sum(axis=(0, 1)) / freedom)
-        across = np.full(2, np.sqrt((sigma[:2] ** 2).mean()))
+        across = np.full(2, _SLIP * np.sqrt((sigma[:2] ** 2).mean()))
         return np.array([*across, sigma[2]]), float(np.sqrt(np.nanmean(np.where(np.isfinite(self._seen), depths, np.nan) ** 2)))
 
     def feet_by_numbers(self, x: Array, poses: Array) -> Array:

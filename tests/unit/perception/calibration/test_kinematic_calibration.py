@@ -46,9 +46,9 @@ def test_numbers_of_a_robot_are_recovered_within_their_uncertainty(found: tuple[
     ):
         error = np.abs(estimate.of(name) - value)
         assert (error < 4.0 * estimate.sigma(name)).all(), name
-    assert estimate.sigma("place").max() < 0.003
+    assert estimate.sigma("place").max() < 0.0015
     assert estimate.sigma("delay")[0] < 0.003
-    assert np.degrees(estimate.sigma("rotation")).max() < 0.4
+    assert np.degrees(estimate.sigma("rotation")).max() < 0.2
     assert np.degrees(estimate.sigma("trims")).max() < 1.0
 
 
