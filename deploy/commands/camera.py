@@ -25,8 +25,7 @@ camera = Group("camera", "Calibrate the depth camera, and the legs with it.")
 @options.seed
 def calibrate(robot: str, connection: options.Connection, out: str | None, rehearse: str | None, seed: int) -> int:
     """Measure mount, depth error and delay of the camera, and the horns: the robot moves its body over a flat floor."""
-    from sextant.services.perception.calibration.calibrated_robot import calibrate as calibrated
-    from sextant.services.perception.calibration.survey import Survey
+    from sextant.services.perception.calibration.calibration_client import CalibrationClient
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.wire import topics
 
@@ -43,12 +42,11 @@ def calibrate(robot: str, connection: options.Connection, out: str | None, rehea
     endpoints = connection.endpoints()
     if endpoints.keys is not None and (refused := endpoints.keys.refusal([topics.MODE, topics.POSTURE])):
         raise InputError(refused)
-    survey = Survey(profile, client_name())
-    if run_client(survey, endpoints, say) is not None:
+    client = CalibrationClient(profile, client_name())
+    if run_client(client, endpoints, say) is not None:
         complain("stopped by the operator; nothing was measured")
         return INTERRUPTED
-    say(f"{survey.reason}; computing")
-    return _finish(calibrated(profile, survey), profile, path, base)
+    return _finish(client.result(), profile, path, base)
 
 
 def _rehearsed(name: str, robot: str, seed: int) -> "Rehearsal":

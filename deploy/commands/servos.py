@@ -273,7 +273,9 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
     if moved is None:
         return FAILED
     wrong = [one.name for one in moved if one.problem]
-    say(f"{len(moved) - len(wrong)} of {len(moved)} joints are in order" + (f"; not: {', '.join(wrong)}" if wrong else ""))
+    after = "" if legs else f"; next, on a flat floor: `sextant camera calibrate --robot {bus.robot}`"
+    after = f"; not: {', '.join(wrong)}" if wrong else after
+    say(f"{len(moved) - len(wrong)} of {len(moved)} joints are in order{after}")
     return FAILED if wrong else SUCCESS
 
 

@@ -18,7 +18,7 @@ from sextant.deploy.live.send_command import Order
 from sextant.deploy.ros2.bridge import Bridge
 from sextant.evaluation.observers.operator import Operator
 from sextant.evaluation.scoring.scorer import Scorer
-from sextant.services.perception.calibration.survey import Survey
+from sextant.services.perception.calibration.calibration_client import CalibrationClient
 from sextant.shared.field_comments import comments
 from sextant.shared.robot.profile import JOINTS, LEGS
 from sextant.shared.robot.profiles import load_profile
@@ -168,7 +168,7 @@ def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
         ("`sextant run`", Operator),
         ("`sextant run`", Scorer),
         ("`sextant order`", Order),
-        ("`sextant camera calibrate`", Survey),
+        ("`sextant camera calibrate`", CalibrationClient),
         ("`sextant topics ros2`", Bridge),
     )
     for name, service in (*own, *commands):

@@ -46,6 +46,7 @@ class Console:
         topics.PLANNER_STATUS,
         topics.PASSAGE_PLAN,
         topics.CAMERA_STATE,
+        topics.CALIBRATION,
         topics.TERRAIN,
         topics.PREVIEW,
         *topics.HEALTH_OF.values(),
@@ -188,6 +189,7 @@ class Console:
             pose = inbox.fresh(topics.BODY_POSE, _STATE_S)
             state = view.state(self._arbiter, legs, pose, inbox.latest(topics.STEP_PLAN), status, self._monitor.camera)
             feed.post_state({**state, "recorder": self._recorder.view()})
+        feed.post_calibration(self._monitor.calibration)
         feed.show_frames(now, inbox)
 
     def _health(self, now: int) -> dict[str, Any]:

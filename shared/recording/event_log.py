@@ -74,6 +74,11 @@ class EventLog:
         if state is not None:
             self._if_new(now_ns, "camera", "state", "images are received" if state.ok else state.reason, not state.ok)
 
+    def calibration(self, now_ns: int, running: bool, refusal: str) -> None:
+        """Log the beginning and the result of a calibration."""
+        words = "a calibration runs" if running else f"no new calibration: {refusal}" if refusal else "the robot is calibrated"
+        self._if_new(now_ns, "camera", "calibration", words, bool(refusal))
+
     def computer(self, now_ns: int, too_slow: str) -> None:
         """Log when the computer becomes too slow, or fast enough again.
 

@@ -535,6 +535,18 @@ class StopOrder(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrationState(Message):
+    """Progress and result of a calibration; `sextant camera calibrate` -> console."""
+
+    running: bool
+    status: str  # what is being done, or how it ended
+    posture: int  # number of the current posture, 0 before the first one
+    postures: int  # number of all postures
+    result: tuple[str, ...]  # each number with its 95 % interval, as text; empty before the end, and if nothing was computed
+    refusal: str  # why the result is not used, or why there is none; empty otherwise
+
+
+@dataclass(frozen=True, slots=True)
 class RecordCommand(Message):
     """Command to start or stop recording; console -> recorder."""
 

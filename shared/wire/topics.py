@@ -99,6 +99,7 @@ PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST,
 VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 GOAL = Topic("operator/goal", m.Goal, 5.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
 POSTURE = Topic("operator/posture", m.PostureCommand, 5.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
+CALIBRATION = Topic("operator/calibration", m.CalibrationState, 2.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.003)
 MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 STOP = Topic("operator/stop", m.StopOrder, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 RECORD = Topic("operator/record", m.RecordCommand, 1.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
@@ -144,6 +145,7 @@ TOPICS: tuple[Topic[Any], ...] = (
     VELOCITY,
     GOAL,
     POSTURE,
+    CALIBRATION,
     MODE,
     STOP,
     RECORD,

@@ -5,6 +5,7 @@ Time limits are generous here because machines are shared; `python -m benchmarks
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from benchmarks.page import browser as browsers
 from benchmarks.page.browser import DESKTOP, PHONE, SMALL, Hand
 from benchmarks.page.page_robot import PageRobot
 from sextant.shared.recording.reader import Recording
-from sextant.shared.wire.messages import Mode
+from sextant.shared.wire import codec, topics
+from sextant.shared.wire.messages import CalibrationState, Mode
+from sextant.shared.wire.transport import ZenohLink
 from tests.support.commands import PATIENCE_S
 
 pytestmark = [
@@ -329,6 +332,29 @@ def test_page_looks_right_on_desktop_and_phone(
     for name, size in (("page.png", DESKTOP), ("page_phone.png", PHONE)):
         image = (folder / name).read_bytes()
         assert (int.from_bytes(image[16:20], "big"), int.from_bytes(image[20:24], "big")) == size
+
+
+def test_page_shows_progress_and_result_of_a_calibration(robot: PageRobot, hand: Hand) -> None:
+    running = CalibrationState(time.monotonic_ns(), True, "posture 3 of 37", 3, 37, (), "")
+    result = ("roll_deg        0.84 +- 0.21 deg",)
+    assert not hand.page.locator("#calibration-command").is_visible()
+    hand.page.click("#calibration summary")
+    assert hand.says("#calibration-command") == "sextant camera calibrate"
+    with ZenohLink(robot.endpoints) as link:
+
+        def until_says(state: CalibrationState, selector: str, words: str) -> None:
+            limit = time.monotonic() + PATIENCE_S
+            while words not in hand.says(selector):
+                assert time.monotonic() < limit, hand.says(selector)
+                link.send(topics.CALIBRATION, codec.encode(state))
+                robot.pass_time(0.2)
+
+        until_says(running, "#calibration-words", "posture 3 of 37")
+        assert hand.page.locator("#calibration-progress").get_attribute("value") == "3"
+        refused = replace(running, running=False, result=result, refusal="the floor is tilted")
+        until_says(refused, "#calibration-words", "not written: the floor is tilted")
+        assert hand.says("#calibration-result") == "roll_deg 0.84 ± 0.21 deg"
+        until_says(replace(refused, refusal=""), "#calibration-words", "measured; restart the services")
 
 
 def test_page_controls_recording_and_reports_killed_recorder(robot: PageRobot, hand: Hand, recordings: Path) -> None:

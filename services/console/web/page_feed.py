@@ -34,6 +34,7 @@ class PageFeed:
         self._watched: dict[int, Watch] = {}  # page number -> what the page shows
         self._glancing: set[int] = set()  # fleet pages, which receive only a summary
         self._state = self._glance = ""  # last state and last summary sent
+        self._calibration: dict[str, Any] | None = None  # last one sent
         self._logged = 0  # number of event log entries sent
         self._map: TerrainMap | None = None  # newest map sent
         self._map_due_ns = 0  # time from which the next map may be sent
@@ -55,7 +56,7 @@ class PageFeed:
     def open(self, page: int) -> None:
         """Add a page of the robot, which receives the state and the newest map."""
         self._watched[page] = Watch()
-        self._state = ""  # sends the state to all pages again
+        self._state, self._calibration = "", None  # sends them to all pages again
         self._draw(page)
 
     def open_fleet_page(self, page: int) -> None:
@@ -84,6 +85,12 @@ class PageFeed:
         if text != self._state:
             self._state = text
             self._sender.post("state", text, self._watched)
+
+    def post_calibration(self, message: dict[str, Any] | None) -> None:
+        """Queue the progress or the result of a calibration for all pages of the robot if it has changed."""
+        if message is not None and message != self._calibration:
+            self._calibration = message
+            self.post("calibration", message)
 
     def post_glance(self, message: dict[str, Any]) -> None:
         """Queue the summary for all fleet pages if it has changed."""

@@ -8,7 +8,7 @@ Only the web server's thread may use these objects.
 from collections import deque
 from collections.abc import Sequence
 
-_SLOTS = ("hello", "state", "glance", "health", "passage", "refused")  # in sending order
+_SLOTS = ("hello", "state", "glance", "calibration", "health", "passage", "refused")  # in sending order
 _FRAMES = ("map", "picture")
 _MAX_LINES = 64  # maximum number of waiting log messages; the oldest are dropped
 

@@ -1,7 +1,9 @@
 """Monitor of the robot's services, camera and computer."""
 
 from collections.abc import Mapping
+from typing import Any
 
+from sextant.services.console.web import view
 from sextant.shared.recording.event_log import EventLog
 from sextant.shared.runtime.health_table import HealthTable
 from sextant.shared.runtime.lateness import SlowComputer
@@ -9,7 +11,8 @@ from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import CameraState, Health, PassagePlan
 
-_PERIOD_NS = 240_000_000  # [ns] period of camera state, passage plans and service health
+_PERIOD_NS = 240_000_000  # [ns] period of camera state, calibration, passage plans and service health
+_CALIBRATION_S = 60.0  # [s] after which a calibration that says nothing has ended; it computes for some ten seconds
 
 
 class RobotMonitor:
@@ -22,6 +25,7 @@ class RobotMonitor:
         self._computer = SlowComputer(computer="the robot's computer")
         self._due_ns = 0
         self.camera: CameraState | None = None
+        self.calibration: dict[str, Any] | None = None  # the newest, as pages receive it
         self.too_slow = ""  # warning that the robot's computer is too slow, "" if it is not
 
     @property
@@ -47,6 +51,9 @@ class RobotMonitor:
         self._event_log.computer(now_ns, self.too_slow)
         self.camera = inbox.latest(topics.CAMERA_STATE)
         self._event_log.camera(now_ns, self.camera)
+        if (newest := inbox.latest(topics.CALIBRATION)) is not None:
+            self.calibration = view.calibration(newest, inbox.fresh(topics.CALIBRATION, _CALIBRATION_S) is None)
+            self._event_log.calibration(now_ns, newest.running, self.calibration["refusal"])
         plans = inbox.drain(topics.PASSAGE_PLAN)
         for plan in plans:
             self._event_log.passage(now_ns, plan)

@@ -15,7 +15,16 @@ from sextant.services.console.web.control_arbiter import DEAD_MAN_NS, SEATS, Con
 from sextant.shared.geometry import Array, yaw_of
 from sextant.shared.recording.event_log import Entry
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
-from sextant.shared.wire.messages import ActuatorState, BodyPose, CameraState, Health, PassagePlan, PlannerStatus, StepPlan
+from sextant.shared.wire.messages import (
+    ActuatorState,
+    BodyPose,
+    CalibrationState,
+    CameraState,
+    Health,
+    PassagePlan,
+    PlannerStatus,
+    StepPlan,
+)
 
 PROTOCOL = 1  # version of these messages, which the page must share
 _SILENT_S = 3.0  # [s] age of a service's health after which the service counts as silent
@@ -137,6 +146,20 @@ def passage(plan: PassagePlan) -> dict[str, Any]:
         "legs": plan.leg[feet].tolist(),
         "footholds": _rounded(plan.footholds[feet].ravel()),
         "failure_point": _rounded(plan.failure_point.ravel()),
+    }
+
+
+def calibration(newest: CalibrationState, silent: bool) -> dict[str, Any]:
+    """Return the progress or the result of a calibration; one that runs and is silent has ended without a result."""
+    lost = newest.running and silent
+    return {
+        "type": "calibration",
+        "running": newest.running and not lost,
+        "status": newest.status,
+        "posture": newest.posture,
+        "postures": newest.postures,
+        "result": newest.result,
+        "refusal": "its command has ended without a result" if lost else newest.refusal,
     }
 
 

@@ -107,9 +107,19 @@ class Survey:
             return self.reason
         return "standing up" if self._number < 0 else f"posture {self._number + 1} of {len(self._postures)}"
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Return the number of the current posture, 0 before the first one, and that of all postures."""
+        return min(self._number + 1, len(self._postures)), len(self._postures)
+
+    @property
+    def is_complete(self) -> bool:
+        """Return whether the robot had, or could not have, all postures."""
+        return self._number == len(self._postures)
+
     def recording(self) -> Recording | None:
         """Return the measurements; None if the motion ended before the last posture, or no image came."""
-        if self._number < len(self._postures) or not self._views:
+        if not self.is_complete or not self._views:
             return None
         stamps, q, contact = zip(*((state.stamp_ns, state.q, state.contact) for state in self._states), strict=True)
         return Recording(
@@ -154,7 +164,8 @@ class Survey:
                     lacks += "; of two machines, calibrate on the one with the planner"
                 self._finish(f"the robot is not ready: {lacks}")
             return
-        if state is None or state.epoch != self._epoch or state.lease not in ("", self._holder):
+        stopped = self._number > 0 and "not ordered to walk" in (state.plan_refusal if state is not None else "")
+        if state is None or state.epoch != self._epoch or state.lease not in ("", self._holder) or stopped:
             self._finish(f"the robot was interrupted: {self._obstacle(state)}")
             return
         status = inbox.fresh(topics.PLANNER_STATUS)
@@ -174,7 +185,7 @@ class Survey:
         else:
             self.refusal = status.reason
         self._number, self._began_ns, self._settled_ns = self._number + 1, now, -1
-        if self._number == len(self._postures):
+        if self.is_complete:
             self._finish("all postures measured")
 
     def _obstacle(self, state: ActuatorState | None) -> str:
@@ -183,7 +194,7 @@ class Survey:
             return "the actuator is silent"
         if state.lease not in ("", self._holder):
             return f"{state.lease} leads it; `sextant order stop` ends that"
-        return f"the actuator is in mode {state.mode}: {state.reason}"
+        return state.plan_refusal or f"the actuator is in mode {state.mode}: {state.reason}"
 
     def _finish(self, reason: str) -> None:
         self.finished, self.reason = True, reason

@@ -22,6 +22,7 @@ from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import (
     BodyPose,
+    CalibrationState,
     CameraState,
     Health,
     Message,
@@ -376,3 +377,20 @@ def test_page_controls_recorder_and_shows_its_state(rig: Rig) -> None:
     rig.hear(replace(resting, recording=True, sequence=orders[0].sequence, file="/r/1.mcap"))
     page.until("state", lambda told: told["recorder"] and told["recorder"]["recording"])
     page.until("log", lambda _: any("recording to /r/1.mcap" in line for line in page.log))
+
+
+def test_page_receives_progress_and_result_of_a_calibration(rig: Rig) -> None:
+    page = rig.page()
+    page.until("hello")
+    rig.hear(CalibrationState(1, True, "posture 3 of 37", 3, 37, (), ""))
+    told = page.until("calibration", lambda told: told["running"])
+    assert (told["status"], told["posture"], told["postures"]) == ("posture 3 of 37", 3, 37)
+    rig.now += 61_000 * MS
+    told = page.until("calibration", lambda told: not told["running"])
+    assert told["refusal"] == "its command has ended without a result"
+    rig.hear(CalibrationState(2, False, "measured", 37, 37, ("roll_deg 0.10 +- 0.05 deg",), "the floor is tilted"))
+    told = page.until("calibration", lambda told: told["result"])
+    assert (told["result"], told["refusal"]) == (["roll_deg 0.10 +- 0.05 deg"], "the floor is tilted")
+    page.until("log", lambda _: "camera: no new calibration: the floor is tilted" in page.log)
+    later = rig.page()
+    assert later.until("calibration")["refusal"] == "the floor is tilted", "a new page receives it, too"

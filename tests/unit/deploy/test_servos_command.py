@@ -10,12 +10,14 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.commands import servos
+from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.servo_bus import dynamixel_bus
@@ -182,6 +184,16 @@ def test_calibration_is_written_to_profile_or_out_file(
     assert [entry.leg for entry in second.calibration] == [LEGS[2], LEGS[4]]
     np.testing.assert_allclose(second.trims[[2, 4]], bench.robot.trims[[2, 4]], atol=dxl.TICK_RAD)
     assert "../my_phantomx_mk2.toml" in Path("deep/second.toml").read_text()
+
+
+def test_complete_joint_test_names_the_next_step(
+    url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = SimpleNamespace(name="", problem="")
+    monkeypatch.setattr(joint_test, "run_joint_test", lambda *_, **__: [good] * 18)
+    assert cli.main(["servos", "test", "--port", url, "--yes"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == "18 of 18 joints are in order; next, on a flat floor: `sextant camera calibrate --robot phantomx_mk2`"
 
 
 @pytest.mark.slow

@@ -39,6 +39,9 @@ const link = new Link({
         view.robot.passage(message);
         view.touch();
         break;
+      case "calibration":
+        panels.calibration(message);
+        break;
       case "health":
         panels.health(message);
         break;

@@ -107,6 +107,19 @@ export class Panels {
     if (legs && this.robot) this.servos(legs);
   }
 
+  /** Show the progress of a calibration, or its result. */
+  calibration({ running, status, posture, postures, result, refusal }) {
+    const words = running ? status : refusal ? `not written: ${refusal}` : "measured; restart the services with the file that the command has written";
+    set("calibration-words", words, running ? "" : refusal ? "bad" : "good");
+    const bar = $("calibration-progress");
+    bar.max = postures;
+    bar.value = posture;
+    bar.hidden = !running;
+    $("calibration-command").hidden = true;
+    $("calibration-result").replaceChildren(...result.map((line) => item(line.replaceAll(/ +/g, " ").replaceAll("+-", "±"))));
+    $("calibration").open = true;
+  }
+
   recorder(recorder) {
     const button = $("record");
     button.disabled = !recorder;

@@ -16,7 +16,7 @@ NO_WAY = PassagePlan(
 
 
 def inbox_with(*messages: Message) -> Inbox:
-    inbox = Inbox([topics.CAMERA_STATE, topics.PASSAGE_PLAN, *topics.HEALTH_OF.values()], Stages())
+    inbox = Inbox([topics.CAMERA_STATE, topics.CALIBRATION, topics.PASSAGE_PLAN, *topics.HEALTH_OF.values()], Stages())
     for message in messages:
         inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), 0)
     return inbox

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sextant.services.perception.calibration.calibration_client import CalibrationClient
 from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.services.perception.calibration.survey import POSTURES, Survey
 from sextant.shared.runtime.service import Inbox
@@ -31,10 +32,10 @@ BLIND = FloorView(0, np.full(BLOCKS, np.nan))
 
 
 class Rig:
-    """A survey and a robot with a planner, which the test plays."""
+    """A survey, or a client that has one, and a robot with a planner, which the test plays."""
 
-    def __init__(self) -> None:
-        self.survey = Survey(PROFILE, "me")
+    def __init__(self, client: CalibrationClient | None = None) -> None:
+        self.survey: Any = client or Survey(PROFILE, "me")
         self.inbox = Inbox(self.survey.subscribes, self.survey.stages)
         self.now_ns = 1_000 * S
         self.state: ActuatorState | None = actuator_state(
@@ -106,6 +107,7 @@ def test_posture_that_the_legs_refuse_is_left_out_with_its_reason() -> None:
     [
         ({"lease": "another"}, "the robot was interrupted: another leads it"),
         ({"epoch": 9}, "the robot was interrupted: the actuator is in mode"),
+        ({"plan_refusal": "the mode is hold, not ordered to walk"}, "the robot was interrupted: the mode is hold, not ordered"),
     ],
 )
 def test_interrupted_motion_ends_without_a_recording(change: dict[str, Any], words: str) -> None:

@@ -49,7 +49,8 @@ def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[Any
 def test_role_may_publish_and_subscribe_as_its_processes_do(role: str, processes: set[str]) -> None:
     written, read = written_and_read(processes, role)
     held = ROLE_NAMED[role]
-    commands = {topics.POSTURE} if topics.VELOCITY in written else set()  # of clients on these machines; no process sends it
+    # Of clients on these machines; no process sends them.
+    commands = {topics.POSTURE, topics.CALIBRATION} if topics.VELOCITY in written else set()
     poses = {topics.EXTERNAL_POSE} if role in ("robot", "base") else set()  # of other programs
     assert set(held.publishes) == written | commands | poses
     assert set(held.subscribes) >= read
