@@ -3,8 +3,8 @@
     registers   goal, position and load of one reading contradict each other, see `GoalCheck`. The robot stops while they do.
                 The second time it stops until torque is off.
     weakness    a servo shows its full torque and stays behind its goal. The robot walks slower, and stops at the second time.
-    slips       standing feet move against each other as if a horn had slipped, see `stance_fit`. The robot stops, or walks
-                slower.
+    slips       standing feet move against each other as if a horn had slipped, see `stance_fit`. The robot walks slower, and stops
+                if two stances of the same legs show a large slip: a foot that slid shows it once.
 
 A horn that slips and an encoder that jumps or drifts are the same to the robot: link and encoder differ. Three standing feet
 have only three distances, so several joints explain them about as well; a servo or a leg is named only if it is the only one.
@@ -31,14 +31,14 @@ _LEFT = 4.0  # most that a slip may leave unexplained
 _LEFT_AT_ONCE = 0.1  # [1] the same as a share, in one stance
 # Twice the logarithm of the likelihood ratio that rules out an explanation, a leg, or a joint of the leg
 _EXCLUDED, _OTHER_LEG, _OTHER_JOINT = 7.0, 10.0, 6.0
-_SLIP_RAD = math.radians(10.0)  # from which the robot stops; a smaller slip makes it slower
+_SLIP_RAD = math.radians(10.0)  # a smaller slip never stops the robot
 _LARGEST_RAD = math.radians(40.0)  # from which the feet slide
 _SLOWER = 0.6  # [1] share of the nominal speed
-_REMEMBERED_STANCES = 6  # for which a servo's lie or weakness is remembered; a weak leg hangs, so these stances prove nothing
+_REMEMBERED_STANCES = 6  # for which a lie, a slip or a weakness is remembered; a weak leg hangs, so these stances prove nothing
 
 
 class LegMonitor:
-    """Findings about lying legs; they last until torque is off (`forget`)."""
+    """Findings about lying legs. Reasons to stop last until torque is off (`forget`), warnings for some stances."""
 
     def __init__(self, profile: RobotProfile):
         """Begin without findings."""
@@ -52,7 +52,7 @@ class LegMonitor:
         self._lie = self._fault = ""  # why the robot must not walk: at present, and until torque is off
         self._slip = self._weak = ""  # why it walks slower
         self._liar, self._liar_for = -1, 0  # servo that has lied, and stances for which that is remembered
-        self._weak_for = 0  # the same for a weak servo
+        self._slip_for = self._weak_for = 0  # the same for a slip and for a weak servo
         self._stances = 0
         self._unusual: dict[
             tuple[int, ...], tuple[int, Stance]
@@ -138,6 +138,8 @@ class LegMonitor:
         self._stances += 1
         self._unusual = {k: v for k, v in self._unusual.items() if self._stances - v[0] <= _REMEMBERED_STANCES}
         self._liar_for = max(self._liar_for - 1, 0)
+        self._slip_for = max(self._slip_for - 1, 0)
+        self._slip = self._slip if self._slip_for else ""
         if self._weak_for:
             self._weak_for -= 1
             self._weak = self._weak if self._weak_for else ""
@@ -162,15 +164,16 @@ class LegMonitor:
         return True
 
     def _find(self, slips: Sequence[Slip], most_left: float, at_once: bool) -> None:
-        """Stop for a large slip, walk slower for a small one; `at_once` only if no small one explains the same."""
+        """Walk slower for a slip, and stop for a large one that two stances show: feet that slide once show it in one."""
         best, likely = slips[0], [slip for slip in slips if slip.cost < slips[0].cost + _EXCLUDED]
         if self.stop or best.left > most_left or abs(best.size) >= _LARGEST_RAD:
             return
         size = min(abs(slip.size) for slip in likely) if at_once else abs(best.size)
-        if size >= _SLIP_RAD:
+        if size >= _SLIP_RAD and not at_once:
             self._fault = self._slipped(slips)
-        elif not at_once:
-            self._slip = self._slip or f"{self._slipped(slips)}; walking slower"
+        elif size >= _SLIP_RAD or not at_once:
+            self._slip = self._slip if at_once and self._slip else f"{self._slipped(slips)}; walking slower"
+            self._slip_for = _REMEMBERED_STANCES
 
     def _slipped(self, slips: Sequence[Slip]) -> str:
         """Return which horn has slipped, as precisely as several slips that explain the same allow."""

@@ -19,7 +19,9 @@ from sextant.shared.robot.profile import RobotProfile
 
 _PROBE_RAD = math.radians(10.0)  # offset at which the derivatives are computed, because slips are large
 _USUAL_RAD = math.radians(2.5)  # standard deviation of the offsets of a robot's horns before the first stance
-_NOISE_M = 0.002  # standard deviation of a change of distance: play, bending, feet that roll and slide
+_NOISE_M = 0.002  # least standard deviation of a change of distance: play, bending, feet that roll and slide
+_NOISE_RATIO = 2.0  # [1] assumed noise by the measured one: tails are heavier than Gaussian
+_NOISE_WEIGHT = 0.1  # [1] of the newest stance in the measured noise
 _LARGEST_RAD = math.radians(45.0)  # largest new offset
 _SLIDING = 0.2  # [1] share of what is unusual by which feet slide, because legs work against each other
 _GROWTH_RAD = math.radians(3.0)  # standard deviation of the growth of a new offset in a stance
@@ -97,14 +99,18 @@ class JointOffsets:
         """Begin with the profile."""
         self.mean = np.zeros(18)  # [rad] by which links are ahead of their encoders
         self._covariance = np.eye(18) * _USUAL_RAD**2
+        self._noise = 0.0  # [m^2] mean square of what the offsets did not explain
 
     def learn(self, stance: Stance) -> None:
         """Take in a stance without a new offset."""
         unusual, covariance, constant = self._compared([stance])
-        gain = -self._covariance @ constant.T @ np.linalg.inv(covariance)
+        inverse = np.linalg.inv(covariance)
+        measured = self._variance() * float(unusual @ inverse @ unusual) / len(unusual)
+        gain = -self._covariance @ constant.T @ inverse
         self.mean = self.mean + gain @ unusual
         learned = self._covariance + gain @ constant @ self._covariance
         self._covariance = (learned + learned.T) / 2.0
+        self._noise += _NOISE_WEIGHT * (measured - self._noise)
 
     def surprise(self, stances: Sequence[Stance]) -> float:
         """Return the squared Mahalanobis distance of stances from what the offsets explain."""
@@ -135,8 +141,12 @@ class JointOffsets:
         """Return what is unusual (n,) [m], its covariance (n, n), and the derivatives (n, 18) by constant offsets."""
         constant: Array = np.concatenate([stance.constant for stance in stances])
         unusual: Array = np.concatenate([stance.moved for stance in stances]) + constant @ self.mean
-        covariance: Array = constant @ self._covariance @ constant.T + np.eye(len(unusual)) * _NOISE_M**2
+        covariance: Array = constant @ self._covariance @ constant.T + np.eye(len(unusual)) * self._variance()
         return unusual, covariance, constant
+
+    def _variance(self) -> float:
+        """Return the assumed variance [m^2] of the noise of a change of distance."""
+        return max(_NOISE_M**2, _NOISE_RATIO**2 * self._noise)
 
 
 def _fit(effect: Array, unusual: Array, inverse: Array) -> tuple[float, float]:

@@ -73,12 +73,27 @@ def test_slip_in_the_air_stops_the_robot_within_four_steps_and_no_other_leg_is_n
     assert "has slipped by about" in monitor.stop
 
 
-def test_leg_is_named_alone_when_no_other_one_explains_the_slip() -> None:
+def test_large_slip_makes_the_robot_slower_at_once_and_stops_it_when_the_same_legs_stand_again() -> None:
     monitor = walked()
-    stops = step(monitor, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
-    assert stops is not None
-    assert CYCLES // 2 <= stops < CYCLES // 2 + 5
-    assert monitor.stop.startswith("right middle leg: a horn has slipped by about")
+    step(monitor, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    assert monitor.stop == ""
+    assert monitor.pace < 1.0
+    assert monitor.warning.startswith("right middle leg: a horn has slipped by about")
+    step(monitor, 9, one(TIBIA_OF_RIGHT_MIDDLE, -20.0))
+    assert monitor.stop == ""
+    step(monitor, 10, one(TIBIA_OF_RIGHT_MIDDLE, -20.0))
+    assert "right middle leg" in monitor.stop
+
+
+def test_foot_that_slides_once_makes_the_robot_slower_for_six_stances() -> None:
+    monitor = walked()
+    step(monitor, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    assert "or the foot slides" in monitor.warning
+    for number in range(9, 14):
+        step(monitor, number)
+    assert monitor.warning != ""
+    step(monitor, 14)
+    assert (monitor.stop, monitor.warning, monitor.pace) == ("", "", 1.0)
 
 
 def test_small_slip_makes_the_robot_slower_after_two_stances() -> None:
