@@ -40,10 +40,16 @@ class FootEvidence:
         self._refuted_ns = -1  # stamp of the first scan that the feet refuted without interruption, or -1
 
     def apply_touchdowns(self, grid: ElevationGrid, pose: BodyPose, legs: ActuatorState) -> None:
-        """Correct the map at the newest touchdowns, with or without ground."""
+        """Correct the map at the newest touchdowns, with or without ground.
+
+        The height of a foot that stands follows from the attitude of the pose. The tilt of {odom} is averaged over steps.
+        """
         new = np.flatnonzero(legs.touchdown_ns > self._touch_ns)
         self._touch_ns = legs.touchdown_ns.copy()
+        heights = apply(pose.T_world_body, legs.feet)[:, 2] - self._foot_radius_m
         for leg, p in zip(new.tolist(), apply(pose.T_world_odom, legs.touchdown_point[new]), strict=True):
+            if legs.contact[leg] and not legs.swing[leg]:
+                p[2] = heights[leg]
             if not abs(float(grid.heights(p[:2])) - p[2]) <= MAX_HEIGHT_ERROR_M:  # or NaN
                 continue
             sole = p[:2] + self._sole

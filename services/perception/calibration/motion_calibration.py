@@ -30,7 +30,7 @@ _STRETCH_M, _STRETCH_RAD, _STRETCH_NS = 0.10, 0.25, 4_000_000_000  # of the moti
 _FLOOR = np.array([0.0015, 0.0015, 0.002, 0.005, 0.005, 0.003])
 _OF_WAY, _OF_TURN = 0.02, 0.03  # [1] further errors, as a share of the motion
 _OF_IMAGES = np.array([0.0007, 0.0007, 0.0007, 0.001, 0.001, 0.001])  # [m] and [rad] errors of the images over one stretch
-_LEG_SIGMA_M = 0.005  # [m] of the ground's height by one leg: its horns and links, and the map below it
+_LEG_SIGMA_M = 0.0035  # [m] of the ground's height by one leg: its horns and links, and the map below it
 _FARTHEST_M = 0.05  # [m] of a plausible difference between the heights of the ground by a leg and by the camera
 _GATE = 22.5  # [1] largest squared error of a stretch: 99.9 % of the chi-square distribution with 6 degrees of freedom
 

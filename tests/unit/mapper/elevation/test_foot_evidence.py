@@ -1,6 +1,7 @@
 """Evidence of the feet: touchdowns correct the map, standing feet refute it."""
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,42 +41,50 @@ def grid_at(height: float) -> ElevationGrid:
 
 
 def legs(**changes: Any) -> ActuatorState:
-    return actuator_state(PROFILE, feet=PROFILE.rest_feet(HEIGHT), **changes)
+    return actuator_state(PROFILE, **{"feet": PROFILE.rest_feet(HEIGHT), **changes})
+
+
+def landed(leg: int, place: Array, stamp_ns: int) -> ActuatorState:
+    """Return legs of which one has touched the ground at `place` (3,) [m] {world}, and stands there."""
+    one = np.arange(6) == leg
+    feet = PROFILE.rest_feet(HEIGHT)
+    feet[leg] = place + np.array([0.0, 0.0, RADIUS - HEIGHT])
+    touch = np.where(one[:, None], place, 0.0)
+    return legs(feet=feet, touchdown_point=touch, touchdown_ns=np.where(one, stamp_ns, -1), touchdown_contact=one)
 
 
 def evidence() -> FootEvidence:
     return FootEvidence(RADIUS, 0.01)
 
 
-def touched(place: Array) -> ActuatorState:
-    touch = np.zeros((6, 3))
-    touch[0] = place
-    return legs(touchdown_point=touch, touchdown_ns=np.where(FRONT, S, -1), touchdown_contact=FRONT)
-
-
 def test_touchdown_corrects_the_map_once() -> None:
     feet, grid, place = evidence(), grid_at(0.0), np.array([0.2, 0.1, 0.02])
-    feet.apply_touchdowns(grid, POSE, touched(place))
+    feet.apply_touchdowns(grid, POSE, landed(0, place, S))
     corrected = float(grid.heights(place[:2]))
     assert 0.005 < corrected <= 0.02
-    feet.apply_touchdowns(grid, POSE, touched(place))
+    feet.apply_touchdowns(grid, POSE, landed(0, place, S))
     assert float(grid.heights(place[:2])) == corrected, "the same touchdown is no new evidence"
 
 
 def test_touchdown_far_from_the_map_is_ignored() -> None:
     grid = grid_at(0.0)
-    evidence().apply_touchdowns(grid, POSE, touched(np.array([0.2, 0.1, 0.5])))
+    evidence().apply_touchdowns(grid, POSE, landed(0, np.array([0.2, 0.1, 0.5]), S))
     assert float(grid.heights([0.2, 0.1])) == pytest.approx(0.0, abs=1e-6)
 
 
 def land(feet: FootEvidence, grid: ElevationGrid, leg: int, places: Array) -> None:
     """Let a foot land on places (n, 3) [m] {world}, one after the other."""
     for k, place in enumerate(places):
-        one = np.arange(6) == leg
-        touch = np.where(one[:, None], place, 0.0)
-        feet.apply_touchdowns(
-            grid, POSE, legs(touchdown_point=touch, touchdown_ns=np.where(one, (k + 1) * S, -1), touchdown_contact=one)
-        )
+        feet.apply_touchdowns(grid, POSE, landed(leg, place, (k + 1) * S))
+
+
+def test_height_of_a_standing_foot_follows_the_attitude_of_its_pose() -> None:
+    """Touchdowns use {odom}, whose tilt in {world} is averaged over steps."""
+    feet, grid = FootEvidence(RADIUS, 0.01, leg_difference=0.02), grid_at(0.0)
+    tilted = replace(POSE, T_world_body=from_xyz_rpy((0.0, 0.0, HEIGHT), [0.05, 0.0, 0.0]))
+    for k, x in enumerate(np.linspace(-0.3, 0.3, 11)):
+        feet.apply_touchdowns(grid, tilted, landed(2, np.array([x, -0.1, 0.0]), (k + 1) * S))
+    assert feet.leg_heights.differences[2] == pytest.approx(-0.005, abs=0.001)
 
 
 def places_at(heights: Array) -> Array:
