@@ -248,8 +248,8 @@ class Actuator:
                         self._joints.torque_on()
                     self._motion.hold(self._joints.goals)
                 case Act.RISE:
-                    relief = ground_relief(self._estimator.odometry.feet, self._estimator.contact.legs)
-                    self._motion.stand_up(self._joints.goals, relief)
+                    standing = self._estimator.contact.legs | self._motion.set_down
+                    self._motion.stand_up(self._joints.goals, ground_relief(self._estimator.odometry.feet, standing))
                 case Act.LIE_DOWN:
                     self._motion.lie_down()
                 case Act.SET_DOWN:
@@ -387,4 +387,5 @@ class Actuator:
             self._rate.warning,
             self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # in other modes this is the reason
             *self._verdict.warnings,
+            self._legs.deviation,
         )

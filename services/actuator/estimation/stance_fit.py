@@ -24,6 +24,8 @@ _NOISE_RATIO = 2.0  # [1] assumed noise by the measured one: tails are heavier t
 _NOISE_WEIGHT = 0.1  # [1] of the newest stance in the measured noise
 _LARGEST_RAD = math.radians(45.0)  # largest new offset
 _SLIDING = 0.2  # [1] share of what is unusual by which feet slide, because legs work against each other
+_MATCHED_M = 0.0012  # standard deviation of a change of distance in robots that match their profile
+_LASTING_RAD = math.radians(4.0)  # standard deviation of a lasting offset before the first stance
 _GROWTH_RAD = math.radians(3.0)  # standard deviation of the growth of a new offset in a stance
 
 
@@ -39,7 +41,7 @@ class Stance:
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """A joint whose new offset explains what is unusual in stances."""
+    """A joint whose offset explains what is unusual in stances."""
 
     joint: int  # 0 to 17
     size: float  # [rad] by which the link is ahead of its encoder, in joint direction
@@ -100,6 +102,9 @@ class JointOffsets:
         self.mean = np.zeros(18)  # [rad] by which links are ahead of their encoders
         self._covariance = np.eye(18) * _USUAL_RAD**2
         self._noise = 0.0  # [m^2] mean square of what the offsets did not explain
+        # All changes of distances so far: their number, and sums for the fit of one joint's offset.
+        self.pairs, self.moved = 0, 0.0  # [1], [1] squared changes by their variance in robots that match their profile
+        self._pull, self._weight = np.zeros(18), np.full(18, 1.0 / _LASTING_RAD**2)
 
     def learn(self, stance: Stance) -> None:
         """Take in a stance without a new offset."""
@@ -111,6 +116,15 @@ class JointOffsets:
         learned = self._covariance + gain @ constant @ self._covariance
         self._covariance = (learned + learned.T) / 2.0
         self._noise += _NOISE_WEIGHT * (measured - self._noise)
+        self.pairs += len(unusual)
+        self.moved += float(stance.moved @ stance.moved) / _MATCHED_M**2
+        self._pull -= stance.moved @ stance.constant / _MATCHED_M**2
+        self._weight += (stance.constant**2).sum(axis=0) / _MATCHED_M**2
+
+    def lasting(self) -> list[Slip]:
+        """Return all joints as if each were the only one that differs from the profile, the likeliest one first."""
+        sizes, left = self._pull / self._weight, self.moved - self._pull**2 / self._weight
+        return [Slip(int(joint), float(sizes[joint]), float(left[joint]), float(left[joint])) for joint in np.argsort(left)]
 
     def surprise(self, stances: Sequence[Stance]) -> float:
         """Return the squared Mahalanobis distance of stances from what the offsets explain."""

@@ -93,6 +93,11 @@ class MotionController:
         return stands
 
     @property
+    def set_down(self) -> NDArray[np.bool_]:
+        """Legs (6,) that a walk has set down; some of them may carry little."""
+        return ~self.executor.flying & (not self.is_holding and self._posture is None)
+
+    @property
     def changes_posture(self) -> bool:
         """Whether the robot stands up or lies down."""
         return self._posture is not None

@@ -73,6 +73,23 @@ def test_slip_in_the_air_stops_the_robot_within_four_steps_and_no_other_leg_is_n
     assert "has slipped by about" in monitor.stop
 
 
+def test_horn_that_is_off_from_the_start_is_named_without_slowing_the_robot() -> None:
+    assert walked(20).deviation == ""
+    ahead = walked(20, one(COXA_OF_LEFT_FRONT, 4.0)).deviation
+    servo = PROFILE.servo_ids[0, 0]
+    assert ahead.startswith(f"the coxa servo of the left front leg (id {servo}): its horn is off by about 4 deg")
+    assert "`sextant camera calibrate`" in ahead
+    assert walked(20, one(TIBIA_OF_RIGHT_MIDDLE, -4.0)).deviation.startswith("right middle leg: a horn is off by about")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_robot_with_many_horns_off_says_that_its_legs_differ(seed: int) -> None:
+    horns = np.radians(np.random.default_rng(seed).uniform(-4.0, 4.0, 18))
+    said = walked(20, horns).deviation
+    assert said.endswith("run `sextant camera calibrate`, which measures all horns")
+    assert seed == 4 or said.startswith("horns or links of several legs differ from the profile")  # 4: one joint explains most
+
+
 def test_large_slip_makes_the_robot_slower_at_once_and_stops_it_when_the_same_legs_stand_again() -> None:
     monitor = walked()
     step(monitor, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)

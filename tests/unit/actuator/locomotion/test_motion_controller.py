@@ -52,6 +52,20 @@ def test_it_walks_the_plans_of_its_executor() -> None:
     assert lifted[~swing].max() < 0.01
 
 
+def test_only_a_walk_sets_legs_down() -> None:
+    """Legs whose servos hold where they are, or that change posture, may be in the air."""
+    legs = Legs()
+    assert legs.motion.set_down.all()
+    legs.motion.executor.accept(plan_to(1, START))
+    while not legs.motion.executor.flying.any():
+        legs.cycle()
+    np.testing.assert_array_equal(legs.motion.set_down, ~plan_to(1, START).swing)
+    legs.motion.freeze()
+    assert not legs.motion.set_down.any()
+    legs.motion.stand_up(legs.q)
+    assert not legs.motion.set_down.any()
+
+
 def test_standing_up_ends_at_rest_and_then_the_robot_stands() -> None:
     legs = Legs(body_inverse(PROFILE, PROFILE.rest_feet(0.05)))
     legs.motion.freeze()
