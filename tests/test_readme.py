@@ -44,6 +44,7 @@ RUN_BY = {
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_ripple_gait_climbs_two_stairs",
     "camera calibrate": "tests/walk/test_calibration.py::test_command_calibrates_a_simulated_robot_into_its_own_file",
     "benchmarks calibration": "tests/walk/test_calibration.py::test_command_calibrates_a_simulated_robot_into_its_own_file",
+    "benchmarks naming": "tests/walk/test_naming.py::test_horn_that_is_off_is_named_and_nothing_else",
     "benchmarks link": "tests/live/test_link.py::test_robot_holds_during_radio_outage_and_resumes",
     "run --lockstep --set": "tests/unit/evaluation/test_params.py::test_run_reports_parameters_of_its_command",
     "run --lockstep --foothold": "tests/walk/test_plugins.py::test_example_plugins_walk_to_the_goal",

@@ -173,6 +173,28 @@ def bench_calibration(scenario: str, seeds: range, jobs: int, out: str | None, a
     return _tell_bench(calibration.in_words(found), calibration.to_json(scenario, found), folder / "calibration.json", as_json)
 
 
+@benchmarks.command("naming")
+@option("--scenarios", "courses of the walks", "NAMES", default="steps,cobbles,stairs")
+@option("--errors", "errors to walk with, one at a time", "KINDS", default="none,pitch,roll,yaw,depth,horn")
+@option("--seeds", "seeds of the walks, B not included", "A:B", type=Parsed(options.seeds, "seeds"), default="1000:1003")
+@options.jobs
+@options.out
+@options.as_json
+def bench_naming(scenarios: str, errors: str, seeds: range, jobs: int, out: str | None, as_json: bool) -> int:
+    """Walk with one error of the camera or a horn, and count whether the robot names it and nothing else."""
+    from benchmarks.robot import naming
+    from sextant.shared.scenario.scenario import load_scenario
+
+    courses, kinds = scenarios.split(","), errors.split(",")
+    if unknown := sorted(set(kinds) - set(naming.KINDS)):
+        raise InputError(f"--errors: some of {', '.join(naming.KINDS)} expected, found {unknown[0]!r}")
+    for course in courses:
+        load_scenario(course)  # a wrong name is reported before anything starts
+    folder = out_folder(out, "bench-naming")
+    found = naming.measure(courses, kinds, seeds, jobs, open_progress(as_json).say)
+    return _tell_bench(naming.in_words(found), naming.to_json(found), folder / "naming.json", as_json)
+
+
 @benchmarks.command("slow-core")
 @option("--scenario", "course of the walk", "NAME", default="steps")
 @option("--share", "share of a core for the actuator", "S", type=number(0.2, 1.0, "share"), default=0.2)

@@ -37,7 +37,11 @@ options of the benchmark.
 _OF_BENCHMARKS = (
     ("algorithms", "accuracy and speed of algorithms", ("accuracy", "speed", "stages", "plans", "passage")),
     ("attacks", "attacks", ("access", "strangers", "roles", "fuzz")),
-    ("robot", "servos and faults of the robot", ("servos", "bus", "cycle", "calibration", "slow-core", "start", "faults")),
+    (
+        "robot",
+        "servos and faults of the robot",
+        ("servos", "bus", "cycle", "calibration", "naming", "slow-core", "start", "faults"),
+    ),
     ("system", "radio, load and resources", ("fleet", "link", "page", "recording", "soak", "size")),
 )
 
