@@ -48,7 +48,7 @@ class Aligner:
     ) -> Aligned:
         """Run Gauss-Newton on matches, texture and prior: (H + P) step = -(g + P error).
 
-        Texture counts only in the directions that the matches do not constrain.
+        Texture counts along the floor, and else only in the directions that the matches do not constrain.
 
         In the first `trusting` iterations all matches have full weight: for a start far from the solution, the few informative
         points are distant and would be treated as outliers.
@@ -74,6 +74,7 @@ class Aligner:
             H, g = believed @ match.H, believed @ match.g
             if tracks is not None:
                 left = np.eye(6) - believed * (match.keyframes / INFORMATION_SHARE)  # what the matches leave open
+                left[ALONG_FLOOR] = np.eye(6)[ALONG_FLOOR]  # a distorted image shows a bare floor as if it had a shape
                 seen, pull = tracks.equations(T, _WIDE[min(iteration, len(_WIDE) - 1)])
                 seen, pull = left @ seen @ left.T, left @ pull
                 H, g = H + seen, g + pull
