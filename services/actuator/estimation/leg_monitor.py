@@ -37,10 +37,11 @@ _LARGEST_RAD = math.radians(40.0)  # from which the feet slide
 # A deviation from the profile that lasts. In robots that match their profile, a joint explained 31 at most, with up to 2.1 deg,
 # and the squared changes of distances were 1.3 for a pair at most.
 _LASTING_PAIRS = 18  # from which a deviation is named
-_LASTING_OTHER = 15.0  # twice the logarithm of the likelihood ratio that rules out another joint of the leg
+_LASTING_OTHER = 20.0  # twice the logarithm of the likelihood ratio that rules out another leg, or another joint of the leg
 _LASTING_RAD, _LASTING_EXPLAINS = math.radians(2.0), 36.0  # of one joint, from which it is named
-_ONE_LEAVES = 1.3  # most for a pair that one joint may leave unexplained
+_ONE_LEAVES = 2.0  # most for a pair that one joint may leave unexplained
 _UNMATCHED = 2.0  # for a pair, from which several joints are off
+_PREDICTED = 0.6  # [1] largest unpredicted share: what earlier stances do not predict are feet that slide, not horns
 _SLOWER = 0.6  # [1] share of the nominal speed
 _REMEMBERED_STANCES = 6  # for which a lie, a slip or a weakness is remembered; a weak leg hangs, so these stances prove nothing
 _CALIBRATE = "run `sextant camera calibrate`, which measures all horns"
@@ -188,26 +189,30 @@ class LegMonitor:
 
     def _deviation(self) -> str:
         """Return how the legs differ from the profile, or an empty string."""
-        slips = self._offsets.lasting()
-        best, moved, pairs = slips[0], self._offsets.moved, self._offsets.pairs
+        offsets, slips = self._offsets, self._offsets.lasting()
+        best, pairs = slips[0], offsets.pairs
         if pairs < _LASTING_PAIRS:
             return ""
-        if best.left >= _ONE_LEAVES * pairs:
-            several = moved >= _UNMATCHED * pairs
+        noise = max(1.0, offsets.unpredicted / pairs)
+        if best.left > min(noise, _ONE_LEAVES) * pairs:
+            several = offsets.moved >= _UNMATCHED * pairs and offsets.unpredicted <= _PREDICTED * offsets.moved
             return f"horns or links of several legs differ from the profile: {_CALIBRATE}" if several else ""
-        if abs(best.size) < _LASTING_RAD or moved - best.left < _LASTING_EXPLAINS:
+        if offsets.moved - best.left < _LASTING_EXPLAINS * noise or abs(best.size) < _LASTING_RAD:
             return ""
-        return f"{self._named(slips, f'is off by about {abs(math.degrees(best.size)):.0f} deg', _LASTING_OTHER)}: {_CALIBRATE}"
+        words, other = f"is off by about {abs(math.degrees(best.size)):.0f} deg", _LASTING_OTHER * noise
+        return f"{self._named(slips, words, other, other)}: {_CALIBRATE}"
 
     def _slipped(self, slips: Sequence[Slip]) -> str:
         """Return which horn has slipped."""
         size = abs(math.degrees(slips[0].size))
         return self._named(slips, f"has slipped by about {size:.0f} deg, an encoder is off, or the foot slides")
 
-    def _named(self, slips: Sequence[Slip], words: str, other_joint: float = _OTHER_JOINT) -> str:
+    def _named(
+        self, slips: Sequence[Slip], words: str, other_leg: float = _OTHER_LEG, other_joint: float = _OTHER_JOINT
+    ) -> str:
         """Return which horn does what `words` say, as precisely as several slips that explain the same allow."""
         best = slips[0]
-        legs = list(dict.fromkeys(slip.joint // 3 for slip in slips if slip.cost < best.cost + _OTHER_LEG))
+        legs = list(dict.fromkeys(slip.joint // 3 for slip in slips if slip.cost < best.cost + other_leg))
         joints = {slip.joint for slip in slips if slip.joint // 3 == legs[0] and slip.cost < best.cost + other_joint}
         if len(legs) == len(joints) == 1:
             return f"{self._servo(best.joint)}: its horn {words}"

@@ -102,8 +102,9 @@ class JointOffsets:
         self.mean = np.zeros(18)  # [rad] by which links are ahead of their encoders
         self._covariance = np.eye(18) * _USUAL_RAD**2
         self._noise = 0.0  # [m^2] mean square of what the offsets did not explain
-        # All changes of distances so far: their number, and sums for the fit of one joint's offset.
-        self.pairs, self.moved = 0, 0.0  # [1], [1] squared changes by their variance in robots that match their profile
+        # Changes of distances: their number, the sums of all squares and of what earlier stances did not predict, both by the
+        # variance in robots that match their profile, and sums for the fit of one joint's offset.
+        self.pairs, self.moved, self.unpredicted = 0, 0.0, 0.0
         self._pull, self._weight = np.zeros(18), np.full(18, 1.0 / _LASTING_RAD**2)
 
     def learn(self, stance: Stance) -> None:
@@ -117,6 +118,7 @@ class JointOffsets:
         self._covariance = (learned + learned.T) / 2.0
         self._noise += _NOISE_WEIGHT * (measured - self._noise)
         self.pairs += len(unusual)
+        self.unpredicted += float(unusual @ unusual) / _MATCHED_M**2
         self.moved += float(stance.moved @ stance.moved) / _MATCHED_M**2
         self._pull -= stance.moved @ stance.constant / _MATCHED_M**2
         self._weight += (stance.constant**2).sum(axis=0) / _MATCHED_M**2
