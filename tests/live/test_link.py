@@ -106,8 +106,11 @@ def test_camera_is_calibrated_from_the_base_only(two_machines: NetTestbed, tmp_p
         on_robot = subprocess.run(bed.on_robot(*words, bed.robot_router), capture_output=True, text=True, check=False)
         assert "no message of the planner arrives here" in on_robot.stderr
         assert not any(heard.walks for heard in halves.heard)
-        calibrated = subprocess.run(bed.on_base(*words, bed.base_router), capture_output=True, text=True, check=False)
-        assert calibrated.returncode == 0, calibrated.stderr
+
+        def calibrated() -> bool:  # a servo of a busy machine may answer late, which ends a calibration
+            return subprocess.run(bed.on_base(*words, bed.base_router), capture_output=True, check=False).returncode == 0
+
+        halves.until(calibrated, 3.0 * PATIENCE_S, "a calibration from the base")
     assert len(load_profile(str(own)).calibration) >= 4
 
 
