@@ -248,8 +248,8 @@ class Actuator:
                         self._joints.torque_on()
                     self._motion.hold(self._joints.goals)
                 case Act.RISE:
-                    standing = self._estimator.contact.legs | self._motion.set_down
-                    self._motion.stand_up(self._joints.goals, ground_relief(self._estimator.odometry.feet, standing))
+                    feet, carrying = self._estimator.odometry.feet, self._estimator.contact.legs
+                    self._motion.stand_up(self._joints.goals, ground_relief(feet, carrying, self._motion.set_down))
                 case Act.LIE_DOWN:
                     self._motion.lie_down()
                 case Act.SET_DOWN:

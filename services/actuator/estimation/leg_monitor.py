@@ -39,6 +39,7 @@ _LARGEST_RAD = math.radians(40.0)  # from which the feet slide
 _LASTING_PAIRS = 18  # from which a deviation is named
 _LASTING_OTHER = 20.0  # twice the logarithm of the likelihood ratio that rules out another leg, or another joint of the leg
 _LASTING_RAD, _LASTING_EXPLAINS = math.radians(2.0), 36.0  # of one joint, from which it is named
+_RESTATED_RAD = math.radians(1.0)  # change of its size from which it is stated again
 _ONE_LEAVES = 2.0  # most for a pair that one joint may leave unexplained
 _UNMATCHED = 2.0  # for a pair, from which several joints are off
 _PREDICTED = 0.6  # [1] largest unpredicted share: what earlier stances do not predict are feet that slide, not horns
@@ -55,6 +56,7 @@ class LegMonitor:
         self._profile = profile
         self._offsets = JointOffsets()
         self.deviation = ""  # how the legs differ from the profile, which does not make the robot slower
+        self._deviates_rad = 0.0  # size that it states
         self.goals = GoalCheck(profile)
         self.forget()
 
@@ -64,6 +66,7 @@ class LegMonitor:
         self._slip = self._weak = ""  # why it walks slower
         self._liar, self._liar_for = -1, 0  # servo that has lied, and stances for which that is remembered
         self._slip_for = self._weak_for = 0  # the same for a slip and for a weak servo
+        self._slip_leg = -1
         self._stances = 0
         self._unusual: dict[
             tuple[int, ...], tuple[int, Stance]
@@ -158,7 +161,7 @@ class LegMonitor:
             self._unusual[stance.legs] = self._stances, stance
         else:
             self._offsets.learn(stance)
-            self.deviation = self._deviation()
+            self._judge_deviation()
             self._unusual.pop(stance.legs, None)
 
     def _judge(self, stance: Stance) -> bool:
@@ -184,23 +187,28 @@ class LegMonitor:
         if size >= _SLIP_RAD and not at_once:
             self._fault = self._slipped(slips)
         elif size >= _SLIP_RAD or not at_once:
-            self._slip = self._slip if at_once and self._slip else f"{self._slipped(slips)}; walking slower"
+            if not (at_once and self._slip and self._slip_leg == best.joint // 3):
+                self._slip, self._slip_leg = f"{self._slipped(slips)}; walking slower", best.joint // 3
             self._slip_for = _REMEMBERED_STANCES
 
-    def _deviation(self) -> str:
-        """Return how the legs differ from the profile, or an empty string."""
+    def _judge_deviation(self) -> None:
+        """State how the legs differ from the profile."""
         offsets, slips = self._offsets, self._offsets.lasting()
         best, pairs = slips[0], offsets.pairs
+        noise = max(1.0, offsets.unpredicted / max(pairs, 1))
         if pairs < _LASTING_PAIRS:
-            return ""
-        noise = max(1.0, offsets.unpredicted / pairs)
+            return
         if best.left > min(noise, _ONE_LEAVES) * pairs:
             several = offsets.moved >= _UNMATCHED * pairs and offsets.unpredicted <= _PREDICTED * offsets.moved
-            return f"horns or links of several legs differ from the profile: {_CALIBRATE}" if several else ""
+            self.deviation = f"horns or links of several legs differ from the profile: {_CALIBRATE}" if several else ""
+            return
         if offsets.moved - best.left < _LASTING_EXPLAINS * noise or abs(best.size) < _LASTING_RAD:
-            return ""
-        words, other = f"is off by about {abs(math.degrees(best.size)):.0f} deg", _LASTING_OTHER * noise
-        return f"{self._named(slips, words, other, other)}: {_CALIBRATE}"
+            self.deviation = ""
+            return
+        where, other = self.deviation.partition(" is off by ")[0], _LASTING_OTHER * noise
+        named = self._named(slips, f"is off by about {abs(math.degrees(best.size)):.0f} deg", other, other)
+        if named.partition(" is off by ")[0] != where or abs(best.size - self._deviates_rad) > _RESTATED_RAD:
+            self.deviation, self._deviates_rad = f"{named}: {_CALIBRATE}", best.size
 
     def _slipped(self, slips: Sequence[Slip]) -> str:
         """Return which horn has slipped."""

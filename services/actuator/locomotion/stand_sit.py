@@ -111,17 +111,20 @@ def _is_on_its_feet(profile: RobotProfile, feet: Array) -> bool:
     return height > profile.body.size[2] / 2 + _CARRYING_HEIGHT_M and bool((apart < _STANDING_RANGE_M).all())
 
 
-def ground_relief(feet: Array, standing: NDArray[np.bool_]) -> Array:
-    """Return heights (6,) [m] of the ground over the plane through the standing feet; zeros on level ground.
+def ground_relief(feet: Array, carrying: NDArray[np.bool_], set_down: NDArray[np.bool_]) -> Array:
+    """Return heights (6,) [m] of the ground over the plane through the carrying feet; zeros on level ground.
 
     Args:
         feet: (6, 3) [m] {body} measured feet. Goals would not do: they include the sag of loaded servos.
-        standing: (6,) legs on the ground; that under the others counts as level.
+        carrying: (6,) legs that carry load.
+        set_down: (6,) legs that keep the height of their foot, whether they carry load or not; the ground under legs that
+            neither carry load nor are set down counts as level.
     """
     over = np.zeros(len(feet))
-    if np.count_nonzero(standing) > 3:
-        rows = np.column_stack([feet[standing, :2], np.ones(np.count_nonzero(standing))])
-        over[standing] = feet[standing, 2] - rows @ np.linalg.lstsq(rows, feet[standing, 2])[0]
+    if np.count_nonzero(carrying) > 3:
+        rows = np.column_stack([feet[:, :2], np.ones(len(feet))])
+        above = feet[:, 2] - rows @ np.linalg.lstsq(rows[carrying], feet[carrying, 2])[0]
+        over = np.where(carrying | set_down, above, 0.0)
     return over if np.abs(over).max() > _UNEVEN_M else np.zeros(len(feet))
 
 

@@ -113,6 +113,16 @@ def test_foot_that_slides_once_makes_the_robot_slower_for_six_stances() -> None:
     assert (monitor.stop, monitor.warning, monitor.pace) == ("", "", 1.0)
 
 
+def test_warning_follows_the_foot_that_slid_last() -> None:
+    monitor = walked()
+    step(monitor, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    assert monitor.warning.startswith("right middle leg")
+    step(monitor, 9, one(COXA_OF_LEFT_FRONT, 20.0), since=CYCLES // 2)
+    assert "left front" not in monitor.warning, "that leg swings"
+    step(monitor, 10, one(COXA_OF_LEFT_FRONT, 20.0), since=CYCLES // 2)
+    assert "left front" in monitor.warning
+
+
 def test_small_slip_makes_the_robot_slower_after_two_stances() -> None:
     monitor = walked()
     step(monitor, 8, one(COXA_OF_LEFT_FRONT, 9.0))

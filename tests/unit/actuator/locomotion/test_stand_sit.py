@@ -19,6 +19,7 @@ OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
 FOLDED = PROFILE.rest_feet(0.02) + 0.05 * OUT
 DURATION = 2.5
 ALL = np.ones(6, dtype=np.bool_)
+NONE = np.zeros(6, dtype=bool)
 
 
 def stand_up(feet: Array, dt: float = 0.02) -> tuple[Array, Array]:
@@ -88,7 +89,7 @@ def over_plane(feet: Array) -> Array:
 def test_stand_up_on_uneven_ground_keeps_heights_of_carrying_feet(tilt: float) -> None:
     feet = REST + np.outer(REST[:, 0] * tilt, [0.0, 0.0, 1.0])
     feet[0, 2] += 0.03  # on a block
-    act = StandUp(PROFILE, feet, DURATION, ground_relief(feet, ALL))
+    act = StandUp(PROFILE, feet, DURATION, ground_relief(feet, ALL, NONE))
     ends = act.update(DURATION).feet
     np.testing.assert_allclose(over_plane(ends), over_plane(feet), atol=1e-3)
     rows = np.column_stack([ends[:, :2], np.ones(6)])
@@ -100,8 +101,17 @@ def test_stand_up_lowers_hanging_foot_and_levels_small_differences() -> None:
     hanging[0, 2] += 0.03
     sagging[0, 2] += 0.003
     for feet, carrying in ((hanging, np.arange(6) > 0), (sagging, ALL)):
-        ends = StandUp(PROFILE, feet, DURATION, ground_relief(feet, carrying)).update(DURATION).feet
+        ends = StandUp(PROFILE, feet, DURATION, ground_relief(feet, carrying, NONE)).update(DURATION).feet
         np.testing.assert_allclose(ends, REST, atol=1e-12)
+
+
+@pytest.mark.parametrize("height", [0.03, -0.05], ids=["on a block", "in a hole"])
+def test_foot_that_was_set_down_keeps_its_height_and_does_not_move_the_others(height: float) -> None:
+    feet = REST.copy()
+    feet[0, 2] += height
+    ends = StandUp(PROFILE, feet, DURATION, ground_relief(feet, np.arange(6) > 0, ALL)).update(DURATION).feet
+    np.testing.assert_allclose(ends[1:] - ends[1], REST[1:] - REST[1], atol=1e-3)
+    assert ends[0, 2] - ends[1, 2] == pytest.approx(height, abs=1e-3)
 
 
 # ------------------------------------------------------------------------------------------------------------ lying down
