@@ -15,7 +15,7 @@ from sextant.services.planner.locomotion.decision import Decision
 from sextant.services.planner.locomotion.missing_ground import MissingGround
 from sextant.services.planner.locomotion.plan_tracking import PlanTracker
 from sextant.services.planner.locomotion.step_selection import StepSelector
-from sextant.services.planner.operator_request import current_request, is_still
+from sextant.services.planner.operator_request import OperatorRequest, current_request, is_still
 from sextant.services.planner.robot_estimate import RobotEstimate
 from sextant.services.planner.terrain import Terrain, plane_of
 from sextant.shared.robot.profile import RobotProfile
@@ -27,6 +27,7 @@ _CAPTURE_TO_PLAN = "capture to plan"  # stage: from a depth image to the actuato
 _STATUS_PERIOD_NS = 100_000_000
 _PAUSE_NS = 500_000_000  # [ns] between two actuator states, above which the time between them does not count as a stall
 _MAX_STATE_AGE_S = 0.45  # [s] a plan made from an older actuator state arrives too late to be executed
+_STEPPING = (Mode.WALK, Mode.HOLD)  # modes of the actuator in which it executes plans
 
 
 class Planner:
@@ -108,7 +109,7 @@ class Planner:
         """
         step = self._decision.step
         by_map = step is not None and step.map_ns >= 0 and not self._plans.refusals.count
-        posture = inbox.fresh(topics.POSTURE)
+        posture = _request(state, inbox).posture if state.mode in _STEPPING else None
         is_new = posture is not None and self._steps.is_new_posture(posture)
         return state.stamp_ns >= self._due_ns or is_new or (by_map and inbox.waiting(topics.TERRAIN))
 
@@ -128,13 +129,12 @@ class Planner:
     def _decide(self, state: ActuatorState, inbox: Inbox) -> Decision | None:
         """Return what to do now, or None if nothing is due."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.revision.pose_age_s)
-        orders = inbox.fresh(topics.VELOCITY), inbox.fresh(topics.POSTURE), inbox.fresh(topics.GOAL)
-        request = current_request(*orders, state.stamp_ns, state.speed_scale)
+        request = _request(state, inbox)
         command, goal = request.command, request.goal
         self._has_goal = goal is not None
         if command is not None and not is_still(command):
             self._goals.abandon_crossing()  # a zero or missing command keeps it: it may continue later
-        if state.mode not in (Mode.WALK, Mode.HOLD):
+        if state.mode not in _STEPPING:
             self._goals.abandon_crossing()
             self._plans.refusals.forget()
             return Decision("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
@@ -206,6 +206,12 @@ class Planner:
             invalid_command=self._decision.invalid_command,
             path=self._goals.path if self._has_goal else np.zeros((0, 2)),
         )
+
+
+def _request(state: ActuatorState, inbox: Inbox) -> OperatorRequest:
+    """Return the request that holds now."""
+    orders = inbox.fresh(topics.VELOCITY), inbox.fresh(topics.POSTURE), inbox.fresh(topics.GOAL)
+    return current_request(*orders, state.stamp_ns, state.speed_scale)
 
 
 def _sight_fault(pose: BodyPose, inbox: Inbox) -> str:

@@ -54,9 +54,11 @@ class PageFeed:
         return bool(self._glancing)
 
     def open(self, page: int) -> None:
-        """Add a page of the robot, which receives the state and the newest map."""
+        """Add a page of the robot, which receives the state, the last calibration and the newest map."""
         self._watched[page] = Watch()
-        self._state, self._calibration = "", None  # sends them to all pages again
+        self._state = ""  # sends the state to all pages again
+        if self._calibration is not None:
+            self.post("calibration", self._calibration, page)
         self._draw(page)
 
     def open_fleet_page(self, page: int) -> None:

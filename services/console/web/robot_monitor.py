@@ -53,7 +53,7 @@ class RobotMonitor:
         self._event_log.camera(now_ns, self.camera)
         if (newest := inbox.latest(topics.CALIBRATION)) is not None:
             self.calibration = view.calibration(newest, inbox.fresh(topics.CALIBRATION, _CALIBRATION_S) is None)
-            self._event_log.calibration(now_ns, newest.running, self.calibration["refusal"])
+            self._event_log.calibration(now_ns, self.calibration["running"], self.calibration["refusal"])
         plans = inbox.drain(topics.PASSAGE_PLAN)
         for plan in plans:
             self._event_log.passage(now_ns, plan)

@@ -388,6 +388,7 @@ def test_page_receives_progress_and_result_of_a_calibration(rig: Rig) -> None:
     rig.now += 61_000 * MS
     told = page.until("calibration", lambda told: not told["running"])
     assert told["refusal"] == "its command has ended without a result"
+    page.until("log", lambda _: "camera: no new calibration: its command has ended without a result" in page.log)
     rig.hear(CalibrationState(2, False, "measured", 37, 37, ("roll_deg 0.10 +- 0.05 deg",), "the floor is tilted"))
     told = page.until("calibration", lambda told: told["result"])
     assert (told["result"], told["refusal"]) == (["roll_deg 0.10 +- 0.05 deg"], "the floor is tilted")

@@ -425,8 +425,10 @@ def test_pose_correction_during_step_keeps_plan_fixed_in_odom() -> None:
     np.testing.assert_allclose(there, first.touchdown[first.swing], atol=1e-9)
 
 
-def test_blocked_planner_limits_its_search_rate(make_terrain: Maker) -> None:
+@pytest.mark.parametrize("posture", [None, PostureCommand(0, np.array([0.0, 0.0, 0.02]), np.zeros(3))])
+def test_blocked_planner_limits_its_search_rate(make_terrain: Maker, posture: PostureCommand | None) -> None:
     rig = Rig()
+    rig.posture = posture  # the velocity command overrides it
     rig.terrain = make_terrain(score=lambda x, y: np.full_like(x, 9.0)).map
     rig.plans(50)
     searches = rig.planner.stages.runs("plan step")

@@ -29,7 +29,7 @@ const FIRST = { // what to do before the first walk, by mode
 
 export class Panels {
   constructor() {
-    this.walked = false;
+    this.walked = this.calibrating = false;
     this.seat = 0;
     this.robot = null;
     this.cells = [];
@@ -107,7 +107,7 @@ export class Panels {
     if (legs && this.robot) this.servos(legs);
   }
 
-  /** Show the progress of a calibration, or its result. */
+  /** Show the progress of a calibration, or its result; open the panel when a calibration begins. */
   calibration({ running, status, posture, postures, result, refusal }) {
     const words = running ? status : refusal ? `not written: ${refusal}` : "measured; restart the services with the file that the command has written";
     set("calibration-words", words, running ? "" : refusal ? "bad" : "good");
@@ -117,7 +117,8 @@ export class Panels {
     bar.hidden = !running;
     $("calibration-command").hidden = true;
     $("calibration-result").replaceChildren(...result.map((line) => item(line.replaceAll(/ +/g, " ").replaceAll("+-", "±"))));
-    $("calibration").open = true;
+    if (running && !this.calibrating) $("calibration").open = true;
+    this.calibrating = running;
   }
 
   recorder(recorder) {

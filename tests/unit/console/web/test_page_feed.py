@@ -100,3 +100,14 @@ def test_maps_are_sent_at_most_four_times_a_second(feed: PageFeed, sent: Sent) -
     for now_ms in range(0, 1000, 50):
         feed.show_frames(now_ms * MS, inbox_with_map(now_ms * MS))
     assert 4 <= len(sent.of("map")) <= 5
+
+
+def test_new_page_alone_receives_the_last_calibration(feed: PageFeed, sent: Sent) -> None:
+    feed.open(1)
+    for value in (1, 1, 2):
+        feed.post_calibration({"value": value})
+    feed.open(2)
+    feed.post_calibration({"value": 2})
+    assert sent.of("calibration") == [[1], [1], [2]]
+    feed.post_calibration({"value": 3})
+    assert sent.of("calibration")[-1] == [1, 2]
