@@ -3,6 +3,8 @@
 The frames show a short walk past blocks and a displacement, before the first real frame arrives.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,8 +28,8 @@ _LOOKS = 10  # frames used per place: enough to settle, and to search while in d
 def compile_functions(profile: RobotProfile, settings: Settings) -> None:
     """Compile all functions that perception calls for a robot's camera."""
     camera = profile.camera
-    if camera.color:
-        _compile_tracking(camera, settings.texture)
+    if camera.color and settings.texture.use:
+        _compile_tracking(camera, replace(settings.texture, min_texture=0.1))  # the random image always has points
     warmup = WarmupRunner(Perception(profile, settings))
     frames = _LOOKS * settings.frames_per_scan(camera.sensor.rate_hz)
     frame_ns = round(1e9 / camera.sensor.rate_hz)

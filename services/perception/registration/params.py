@@ -98,9 +98,9 @@ class TextureParams(Params):
     min_agreement: float = ranged(0.6, 0.0, 1.0)  # [1] share of the points found that agree with it
     min_found: float = ranged(0.3, 0.0, 1.0)  # [1] share of the expected points that agree with it
     slip: float = ranged(0.006, 0.0, 0.5)  # [m] by which legs and texture may differ since a keyframe ...
-    slip_share: float = ranged(0.25, 0.0, 1.0)  # [1] ... plus this share of the way
-    turn: float = ranged(0.01, 0.0, 1.0)  # [rad] the same for yaw ...
-    turn_rate: float = ranged(0.3, 0.0, 5.0)  # [rad/m] ... per way
+    slip_share: float = ranged(0.25, 0.0, 1.0)  # [1] ... plus this share of the path walked since
+    turn: float = ranged(0.01, 0.0, 1.0)  # [rad] the same for yaw, plus `slip_share` of the turning ...
+    turn_rate: float = ranged(0.3, 0.0, 5.0)  # [rad/m] ... and this per path
     trusted_margin: float = ranged(3.0, 1.0, 100.0)  # [1] times `slip` and `turn`, once texture is trusted
     probation: float = ranged(0.15, 0.0, 10.0)  # [m] way over which texture must agree with the legs before it is trusted
     patience: int = ranged(3, 0, 1000)  # consecutive frames with too few points after which the trust is lost

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sextant.services.perception.registration.error_twist import error_twist
 from sextant.services.perception.registration.params import TextureParams
 from sextant.services.perception.registration.texture_tracking import Tracks
-from sextant.shared.geometry import inverse
+from sextant.shared.geometry import inverse, yaw_of
 
 
 class TextureTrust:
@@ -23,8 +23,11 @@ class TextureTrust:
         self._legs: NDArray[np.float64] = np.eye(4)  # camera pose by the legs alone
         self._legs_at = np.tile(np.eye(4), (stored, 1, 1))  # of the keyframes
         self._last: NDArray[np.float64] | None = None  # pose of the last frame
-        self._step = 0.0  # [m] way of the legs since the last frame
-        self._agreed = 0.0  # [m] way of the legs over which texture has agreed with them
+        self._path = self._turned = 0.0  # [m], [rad] way and turning of the legs, both ways added
+        self._path_at, self._turned_at = np.zeros(stored), np.zeros(stored)  # of the keyframes
+        self._away, self._farthest = np.zeros(stored), np.zeros(stored)  # [m] distance from the keyframes, and its maximum
+        self._grown = np.zeros(stored)  # [m] by which the last frame raised the maximum
+        self._agreed = 0.0  # [m] such growth over which texture has agreed with the legs
         self._few = 0  # consecutive frames with too few points
 
     @property
@@ -34,9 +37,15 @@ class TextureTrust:
 
     def begin_frame(self, T_prior: NDArray[np.float64]) -> None:
         """Follow the legs to the expected pose (4, 4) of the next frame."""
-        if self._last is not None:
-            self._legs = self._legs @ inverse(self._last) @ T_prior
-            self._step = float(np.linalg.norm(T_prior[:2, 3] - self._last[:2, 3]))
+        if self._last is None:
+            self._legs = T_prior
+            return
+        self._legs = self._legs @ inverse(self._last) @ T_prior
+        self._path += float(np.linalg.norm(T_prior[:2, 3] - self._last[:2, 3]))
+        self._turned += abs(yaw_of(T_prior @ inverse(self._last)))
+        self._away = np.linalg.norm(self._legs[:2, 3] - self._legs_at[:, :2, 3], axis=1)
+        self._grown = np.maximum(self._away - self._farthest, 0.0)
+        self._farthest += self._grown
 
     def end_frame(self, T: NDArray[np.float64]) -> None:
         """Set the pose (4, 4) of the frame."""
@@ -45,6 +54,8 @@ class TextureTrust:
     def store(self, slot: int) -> None:
         """Remember the legs' pose at a new keyframe."""
         self._legs_at[slot] = self._legs
+        self._path_at[slot], self._turned_at[slot] = self._path, self._turned
+        self._away[slot] = self._farthest[slot] = self._grown[slot] = 0.0
 
     def judge(self, T: NDArray[np.float64], tracks: Tracks, poses: NDArray[np.float64]) -> bool:
         """Return whether a pose (4, 4) found with texture may be used, and update the trust.
@@ -61,19 +72,20 @@ class TextureTrust:
                 self._agreed = 0.0
             return False
         self._few = 0
-        if any(self._is_contradicted(T, poses[slot], self._legs_at[slot]) for slot in np.unique(tracks.slots[good])):
+        slots = np.unique(tracks.slots[good])
+        path, turned = self._path - self._path_at, self._turned - self._turned_at
+        if not all(self._agrees(T, poses[slot], slot, path[slot], turned[slot]) for slot in slots):
             self._agreed = 0.0
             return False
-        self._agreed += self._step
+        # A long path allows any distance, so only a keyframe that agrees for its distance earns trust.
+        earned = [self._grown[slot] for slot in slots if self._agrees(T, poses[slot], slot, self._away[slot], 0.0)]
+        self._agreed += float(max(earned, default=0.0))
         return self.given
 
-    def _is_contradicted(
-        self, T: NDArray[np.float64], T_keyframe: NDArray[np.float64], T_legs_keyframe: NDArray[np.float64]
-    ) -> bool:
-        """Return whether the motion since a keyframe contradicts the legs."""
+    def _agrees(self, T: NDArray[np.float64], T_keyframe: NDArray[np.float64], slot: int, way: float, turned: float) -> bool:
+        """Return whether the motion since a keyframe agrees with the legs, which drift over a way [m] and a turning [rad]."""
         params, margin = self._params, self._params.trusted_margin if self.given else 1.0
-        expected = T_keyframe @ inverse(T_legs_keyframe) @ self._legs
-        twist = np.abs(error_twist(T, expected))
-        way = float(np.linalg.norm(expected[:2, 3] - T_keyframe[:2, 3]))
+        twist = np.abs(error_twist(T, T_keyframe @ inverse(self._legs_at[slot]) @ self._legs))
         slipped = float(np.hypot(twist[0], twist[1])) > margin * params.slip + params.slip_share * way
-        return slipped or bool(twist[5] > margin * params.turn + params.turn_rate * way)
+        turn = margin * params.turn + params.turn_rate * way + params.slip_share * turned
+        return not slipped and bool(twist[5] <= turn)

@@ -92,3 +92,49 @@ def test_standing_earns_no_trust() -> None:
     for _ in range(100):
         walker.legs -= _STEP
         assert not walker.walk(1)
+
+
+def lamps(trust: TextureTrust, legs: list[float]) -> list[bool]:
+    """Judge frames in which texture stays where the robot is, while the legs report positions."""
+    used = []
+    for x in legs:
+        trust.begin_frame(at(x))
+        used.append(trust.judge(at(0.0), tracks(at(0.0), 60, 60), at(0.0)[None]))
+        trust.end_frame(at(x))
+    return used
+
+
+@pytest.mark.parametrize("frames", [40, 400])
+def test_sway_earns_no_trust_and_no_tolerance_for_the_way_after_it(frames: int) -> None:
+    trust = Walker().trust
+    assert not any(lamps(trust, [0.004 * (-1) ** k for k in range(frames)]))
+    assert not any(lamps(trust, [_STEP * k for k in range(60)]))
+
+
+@pytest.mark.parametrize("drift", [0.01, 0.03])
+def test_trust_stays_on_the_way_back_over_ground_seen_before(drift: float) -> None:
+    trust, poses, last = TextureTrust(20, _PARAMS), np.array([at(0.1 * slot) for slot in range(20)]), at(0.0)
+    steps = np.repeat([_STEP, -_STEP], 200)
+    used, stored = [], 0
+    for step, x in zip(steps, np.cumsum(steps), strict=True):
+        prior, T = last.copy(), at(x)
+        prior[:2, 3] += step, drift * _STEP
+        trust.begin_frame(prior)
+        if stored < 20 and x >= 0.1 * stored:
+            trust.store(stored)
+            stored += 1
+        seen = replace(tracks(T, 60, 60), slots=np.full(60, min(int(x / 0.1), stored - 1)))
+        used.append(trust.judge(T, seen, poses))
+        last = T if used[-1] else prior
+        trust.end_frame(last)
+    assert all(used[50:])
+
+
+def test_accumulated_turning_widens_the_turn_limit() -> None:
+    walker = Walker()
+    walker.walk(15)
+    trust, here = walker.trust, walker.legs
+    for turned in [*np.arange(0.0, 1.0, 0.05), *np.arange(1.0, 0.0, -0.05), 0.0]:
+        trust.begin_frame(at(here, turned))
+        trust.end_frame(at(here, turned))
+    assert trust.judge(at(here, 0.2), tracks(at(here, 0.2), 60, 60), at(0.0)[None])
