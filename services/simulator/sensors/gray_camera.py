@@ -65,7 +65,7 @@ class GrayCamera:
         ])  # fmt: skip
         poses = self._during(T_world_camera, time_s)
         key = np.uint32(self._key ^ np.uint32((self._frames * 0x9E3779B9) & 0xFFFFFFFF))
-        _expose(canvas, k, poses, self._levels, look, key, image)
+        _expose(canvas, k, ROBOT, poses, self._levels, look, key, image)
         self._frames += 1
         return image
 
@@ -117,6 +117,7 @@ def _read(texture: NDArray[np.float32], x: float, y: float) -> float:
 def _expose(
     canvas: Canvas,
     k: int,
+    robot: int,
     poses: Array,
     levels: NDArray[np.float32],
     look: Array,
@@ -125,6 +126,7 @@ def _expose(
 ) -> None:
     """Take the image: the texture where each pixel's ray meets the surface at two times, light, and noise.
 
+    `k`: edge of a pixel [depth pixels]. `robot`: number of the robot's material.
     `look`: brightness of the ground, contrast, mirrored share, variation of the light over the ground, its displacement [m] in
     x and y, brightness of robot and movers, and range of the noise [1/255].
     """
@@ -145,7 +147,7 @@ def _expose(
             a, b = row * k + k // 2, column * k + k // 2
             if total < 0.02 * number or number == 0:
                 value = _SKY
-            elif canvas.material[a, b] == ROBOT:
+            elif canvas.material[a, b] == robot:
                 n = canvas.normal[a, b]
                 value = look[6] * (0.5 + 0.5 * max(n[0] * _LIGHT[0] + n[1] * _LIGHT[1] + n[2] * _LIGHT[2], 0.0))
             else:
