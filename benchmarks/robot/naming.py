@@ -17,6 +17,8 @@ from sextant.shared.scenario.mismatch import Deviation, Mismatch
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import codec, topics
 
+KINDS = ("none", "pitch", "roll", "yaw", "depth", "horn")  # of errors
+_NAMES = ("looks|leans|measures depths", "horn is off|horns or links")  # of errors of the camera, and of the legs
 SOON = 10  # steps within which an error should be named
 _STEPS, _LONGEST_S = 20, 60  # end of a walk
 _SLICE_NS = 500_000_000  # [ns] between two looks at the walk
@@ -48,10 +50,6 @@ def error(kind: str, seed: int) -> Error:
     axis = ("roll", "pitch", "yaw").index(kind)
     words = ("leans farther (left|right)", "looks (higher|lower)", "looks farther (left|right)")[axis]
     return Error({"camera_rpy_deg": np.eye(3)[axis] * sign * _ANGLE_DEG}, words)
-
-
-KINDS = ("none", "pitch", "roll", "yaw", "depth", "horn")
-_NAMES = ("looks|leans|measures depths", "horn is off|horns or links")  # of the camera, and of the legs
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +93,7 @@ def _walk(kind: str, name: str, seed: int) -> Walk:
     """Walk for `_STEPS` steps, and listen to what the robot names."""
     wrong = error(kind, seed)
     scenario = replace(load_scenario(name), mismatch=_OneError(changes=wrong.changes))
-    said: dict[str, int] = {}  # sentence: step at which it was said first
+    said: dict[str, int] = {}  # step at which each sentence was said first
     step = 0
 
     def listen(topic: AnyTopic, frame: bytes, _at_ns: int) -> None:

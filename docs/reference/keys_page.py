@@ -256,7 +256,7 @@ def _arrays() -> Iterator[str]:
     yield ""
     yield from (f"- [{title}]({name}.md)" for name, (title, _) in _PAGES.items())
     yield ""
-    yield "The fields are in the order of the frame. An array of six has an entry, or a row, for each leg:"
+    yield "The fields are in the order of the frame. An array of six has one entry or one row for each leg:"
     yield f"{', '.join(LEGS)}."
     yield f"The columns of joint angles and torques are {', '.join(JOINTS)}, those of points x, y, z."
     yield "A foot is a sphere: `feet` and `touchdown` are its centre, `touchdown_point` is on its underside, lower by"

@@ -103,7 +103,9 @@ class Planner:
             yield self._status(state)
 
     def _is_due(self, state: ActuatorState, inbox: Inbox) -> bool:
-        """Return whether to decide: after a pause, for a new posture, or when a map arrives after a step by an older one.
+        """Return whether to decide.
+
+        A decision is due after a pause, for a new posture, or when a map arrives after a step that was planned on an older map.
 
         Refused steps are replaced after a pause: the refusal of the newest one may be on its way.
         """

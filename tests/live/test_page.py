@@ -4,7 +4,7 @@ Time limits are generous here because machines are shared; `python -m benchmarks
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -342,15 +342,25 @@ def test_page_shows_progress_and_result_of_a_calibration(robot: PageRobot, hand:
     assert hand.says("#calibration-command") == "sextant camera calibrate"
     with ZenohLink(robot.endpoints) as link:
 
-        def until_says(state: CalibrationState, selector: str, words: str) -> None:
+        def until(state: CalibrationState, shown: Callable[[], bool]) -> None:
             limit = time.monotonic() + PATIENCE_S
-            while words not in hand.says(selector):
-                assert time.monotonic() < limit, hand.says(selector)
+            while not shown():
+                assert time.monotonic() < limit, hand.says("#calibration")
                 link.send(topics.CALIBRATION, codec.encode(state))
                 robot.pass_time(0.2)
 
+        def until_says(state: CalibrationState, selector: str, words: str) -> None:
+            until(state, lambda: words in hand.says(selector))
+
+        def posture() -> str | None:
+            return hand.page.locator("#calibration-progress").get_attribute("value")
+
         until_says(running, "#calibration-words", "posture 3 of 37")
-        assert hand.page.locator("#calibration-progress").get_attribute("value") == "3"
+        assert posture() == "3"
+        hand.page.click("#calibration summary")  # a panel that is closed stays closed
+        until(replace(running, posture=4), lambda: posture() == "4")
+        assert hand.page.locator("#calibration").get_attribute("open") is None
+        hand.page.click("#calibration summary")
         refused = replace(running, running=False, result=result, refusal="the floor is tilted")
         until_says(refused, "#calibration-words", "not written: the floor is tilted")
         assert hand.says("#calibration-result") == "roll_deg 0.84 ± 0.21 deg"

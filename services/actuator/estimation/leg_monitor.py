@@ -34,8 +34,7 @@ _LEFT_AT_ONCE = 0.1  # [1] the same as a share, in one stance
 _EXCLUDED, _OTHER_LEG, _OTHER_JOINT = 7.0, 10.0, 6.0
 _SLIP_RAD = math.radians(10.0)  # a smaller slip never stops the robot
 _LARGEST_RAD = math.radians(40.0)  # from which the feet slide
-# A deviation from the profile that lasts. In robots that match their profile, a joint explained 31 at most, with up to 2.1 deg,
-# and the squared changes of distances were 1.3 for a pair at most.
+# A deviation from the profile that lasts: limits above what robots that match their profile show.
 _LASTING_PAIRS = 18  # from which a deviation is named
 _LASTING_OTHER = 20.0  # twice the logarithm of the likelihood ratio that rules out another leg, or another joint of the leg
 _LASTING_RAD, _LASTING_EXPLAINS = math.radians(2.0), 36.0  # of one joint, from which it is named
@@ -195,9 +194,9 @@ class LegMonitor:
         """State how the legs differ from the profile."""
         offsets, slips = self._offsets, self._offsets.lasting()
         best, pairs = slips[0], offsets.pairs
-        noise = max(1.0, offsets.unpredicted / max(pairs, 1))
         if pairs < _LASTING_PAIRS:
             return
+        noise = max(1.0, offsets.unpredicted / pairs)
         if best.left > min(noise, _ONE_LEAVES) * pairs:
             several = offsets.moved >= _UNMATCHED * pairs and offsets.unpredicted <= _PREDICTED * offsets.moved
             self.deviation = f"horns or links of several legs differ from the profile: {_CALIBRATE}" if several else ""

@@ -49,7 +49,8 @@ class Tracks:
 
         Args:
             T: (4, 4) camera pose.
-            widen: [1] factor of the deviation at which a position has half its weight, for a start far from the solution.
+            widen: [1] factor of the deviation at which the weight of a position is one half; larger than 1 far from the
+                solution.
         """
         H, g = np.zeros((6, 6)), np.zeros(6)
         _sum(self.points, self.pixels, self.information, T, widen * _CAUCHY, H, g)
@@ -183,25 +184,16 @@ def _bilinear(image: Array, u: float, v: float) -> float:
 
 
 @compiled
-def _align_patch(
-    key: Array, frame: Array, u_key: float, v_key: float, warp: Array, start: Array, template: Array, patch: Array, found: Array
-) -> bool:
-    """Align a patch of a keyframe with a frame, both at the same size of the image, and return whether it succeeds.
+def _prepare_patch(
+    key: Array, u_key: float, v_key: float, warp: Array, template: Array, patch: Array
+) -> tuple[float, float, float, float]:
+    """Fill a patch with its template, its gradients, both without mean, and the gradients without the template's share.
 
-    Args:
-        key: Image of the keyframe.
-        frame: Image of the frame.
-        u_key: Point of the keyframe.
-        v_key: Point of the keyframe.
-        warp: (2, 2) pixels of the keyframe per pixel of the frame.
-        start: (2,) expected point in the frame.
-        template: (2 h + 3, 2 h + 3) workspace.
-        patch: (4, n) workspace.
-        found: (6,) point in the frame, its information xx, xy, yy [1/px^2], and the correlation; written.
+    Arguments as of `_align_patch`. Return the squares of the template and of the gradients in x and y, and the gradients'
+    product; the first is 0 if the patch is not inside the image or has no texture in both directions.
     """
     edge = 2 * _HALF + 1
     n = edge * edge
-    # 1. The template, its gradients, both without mean, and the gradients without the template's share.
     reach_u = (abs(warp[0, 0]) + abs(warp[0, 1])) * (_HALF + 1)
     reach_v = (abs(warp[1, 0]) + abs(warp[1, 1])) * (_HALF + 1)
     if not (
@@ -210,7 +202,7 @@ def _align_patch(
         and u_key + reach_u < key.shape[1] - 1
         and v_key + reach_v < key.shape[0] - 1
     ):
-        return False
+        return 0.0, 0.0, 0.0, 0.0
     for i in range(edge + 2):
         for j in range(edge + 2):
             dx, dy = j - _HALF - 1.0, i - _HALF - 1.0
@@ -236,7 +228,7 @@ def _align_patch(
         tx += patch[0, k] * patch[1, k]
         ty += patch[0, k] * patch[2, k]
     if tt < 1e-6 * n:
-        return False
+        return 0.0, 0.0, 0.0, 0.0
     xx = xy = yy = 0.0
     for k in range(n):
         patch[1, k] -= tx / tt * patch[0, k]
@@ -244,10 +236,35 @@ def _align_patch(
         xx += patch[1, k] * patch[1, k]
         xy += patch[1, k] * patch[2, k]
         yy += patch[2, k] * patch[2, k]
-    det = xx * yy - xy * xy
-    if det <= 1e-3 * (xx + yy) * (xx + yy):
+    if xx * yy - xy * xy <= 1e-3 * (xx + yy) * (xx + yy):
+        return 0.0, 0.0, 0.0, 0.0
+    return tt, xx, yy, xy
+
+
+@compiled
+def _align_patch(
+    key: Array, frame: Array, u_key: float, v_key: float, warp: Array, start: Array, template: Array, patch: Array, found: Array
+) -> bool:
+    """Align a patch of a keyframe with a frame, both at the same size of the image, and return whether it succeeds.
+
+    Args:
+        key: Image of the keyframe.
+        frame: Image of the frame.
+        u_key: Point of the keyframe.
+        v_key: Point of the keyframe.
+        warp: (2, 2) pixels of the keyframe per pixel of the frame.
+        start: (2,) expected point in the frame.
+        template: (2 h + 3, 2 h + 3) workspace.
+        patch: (4, n) workspace.
+        found: (6,) point in the frame, its information xx, xy, yy [1/px^2], and the correlation; written.
+    """
+    edge = 2 * _HALF + 1
+    n = edge * edge
+    tt, xx, yy, xy = _prepare_patch(key, u_key, v_key, warp, template, patch)
+    if tt == 0.0:
         return False
-    # 2. Gauss-Newton over the position; brightness and contrast follow from the patch.
+    det = xx * yy - xy * xy
+    # Gauss-Newton over the position; brightness and contrast follow from the patch.
     u, v = start[0], start[1]
     ti = ii = contrast = 0.0
     for _ in range(_MAX_STEPS):
