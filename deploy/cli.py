@@ -15,6 +15,7 @@ import click
 
 from sextant.deploy.commands.camera import camera
 from sextant.deploy.commands.common import InputError, complain, say
+from sextant.deploy.commands.drive import drive
 from sextant.deploy.commands.facts import doctor
 from sextant.deploy.commands.fleet import fleet
 from sextant.deploy.commands.keys import keys
@@ -93,7 +94,7 @@ click.option("--version", is_flag=True, is_eager=True, expose_value=False, callb
     sextant
 )
 for _command in (
-    *(demo, run, trials, table, up, fleet, order, record, video, plot),
+    *(demo, run, trials, table, up, fleet, order, drive, record, video, plot),
     *(keys, recording, service, topics, robot, servos, camera, doctor),
     *(_moved_to_benchmarks(name, new) for name, new in _TO_BENCHMARKS.items()),
 ):

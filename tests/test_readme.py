@@ -78,6 +78,8 @@ RUN_BY = {
     "fleet": "tests/live/test_fleet.py::test_failure_of_one_robot_does_not_affect_others",
     "benchmarks fleet": "tests/live/test_fleet.py::test_fleet_benchmark_loads_base_with_recorded_robot",
     "order": "tests/live/test_live_walk.py::test_attached_run_walks_with_running_services",
+    "drive": "tests/live/test_drive.py::test_keys_walk_the_robot_and_each_end_of_input_stops_it",
+    "drive --connect": "tests/live/test_drive.py::test_keys_walk_the_robot_and_each_end_of_input_stops_it",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
     "topics ros2": "tests/unit/deploy/ros2/test_bridge.py::test_ros2_command_prints_topics_and_ends_on_ctrl_c",
     "topics echo": "tests/unit/deploy/topics/test_passive_subscriber.py::test_echo_prints_requested_number_of_messages",

@@ -34,15 +34,24 @@ def run_client(client: Client, endpoints: Endpoints, tell: Callable[[str], None]
 
     Returns:
         None when it is finished; after an interruption, the messages that ended its order.
+
+    Raises:
+        Exception: The client failed; its order has ended.
     """
     stop, told = threading.Event(), ""
+    failures: list[Exception] = []
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
-        running = threading.Thread(
-            target=run_live, args=(client, link, stop), kwargs={"role": endpoints.role}, name=client.name
-        )
+
+        def run() -> None:
+            try:
+                run_live(client, link, stop, role=endpoints.role)
+            except Exception as error:  # noqa: BLE001 - it is raised again below
+                failures.append(error)
+
+        running = threading.Thread(target=run, name=client.name)
         running.start()
         try:
-            while not client.finished and not interrupts.asked():
+            while not client.finished and not failures and not interrupts.asked():
                 if client.status() != told:
                     told = client.status()
                     tell(told)
@@ -55,4 +64,6 @@ def run_client(client: Client, endpoints: Endpoints, tell: Callable[[str], None]
         withdrawn = client.withdraw()
         for message in withdrawn:
             link.send(topics.OF_TYPE[type(message)], codec.encode(message))
+        if failures:
+            raise failures[0]
         return withdrawn

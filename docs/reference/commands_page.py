@@ -21,7 +21,7 @@ after Ctrl-C. `--json` prints the result for scripts. A link leads to the argume
 """
 _OF_SEXTANT = (  # end of a page's name, its title and its commands
     ("walk", "walks in simulation", ("demo", "run", "trials", "trials table")),
-    ("robot", "operation of a robot", ("up", "fleet", "order", "service", "doctor")),
+    ("robot", "operation of a robot", ("up", "fleet", "order", "drive", "service", "doctor")),
     ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
     ("network", "topics and certificates", ("keys", "topics")),
     ("hardware", "servos, camera and robot profiles", ("robot", "servos", "camera")),

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from sextant.services.console.config import Settings
 from sextant.services.console.web import view
+from sextant.services.console.web.command_repeater import stop_order_of
 from sextant.services.console.web.control_arbiter import ControlArbiter
 from sextant.services.console.web.page_feed import PageFeed
 from sextant.services.console.web.recorder_client import RecorderClient
@@ -24,7 +25,6 @@ from sextant.shared.wire.messages import (
     Message,
     ModeCommand,
     PlannerStatus,
-    StopOrder,
     Tick,
 )
 
@@ -103,7 +103,7 @@ class Console:
             self._status = inbox.fresh(topics.PLANNER_STATUS, _STATE_S)
         for message in self._arbiter.beat(now, self._legs, self._status):
             yield message
-            if isinstance(message, ModeCommand) and (stop := _stop_of(message)) is not None:
+            if isinstance(message, ModeCommand) and (stop := stop_order_of(message)) is not None:
                 yield stop
         if due:
             yield from self._recorder.beat(now, inbox.fresh(topics.RECORDER_STATE))
@@ -194,13 +194,3 @@ class Console:
 
     def _health(self, now: int) -> dict[str, Any]:
         return view.health(self._monitor.services, now, self._monitor.too_slow)
-
-
-def _stop_of(order: ModeCommand) -> StopOrder | None:
-    """Return an off or stop command as a `StopOrder`, None for any other command.
-
-    A machine without the right to drive can publish only `StopOrder`. Taking over the lease needs the right to drive.
-    """
-    if order.take_over or order.mode not in ("off", "stop"):
-        return None
-    return StopOrder(order.stamp_ns, "off" if order.mode == "off" else "stop", order.sequence, order.holder)

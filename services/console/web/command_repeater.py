@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from sextant.shared.wire.messages import ActuatorState, Mode, ModeCommand
+from sextant.shared.wire.messages import ActuatorState, Mode, ModeCommand, StopOrder
 
 _REPEAT_NS = 500_000_000  # [ns] period of a command, which keeps the lease
 _URGENT_NS = 100_000_000  # [ns] period of a torque-off command until torque is off
@@ -79,3 +79,13 @@ class CommandRepeater:
         if command.mode == "off" and self._off_ns >= command.sequence:  # another client has turned torque on again
             return True
         return command.mode == "stop" and received and state.lease != command.holder
+
+
+def stop_order_of(command: ModeCommand) -> StopOrder | None:
+    """Return an off or stop command as a `StopOrder`, None for any other command.
+
+    A machine without the right to drive can publish only `StopOrder`. Taking over the lease needs the right to drive.
+    """
+    if command.take_over or command.mode not in ("off", "stop"):
+        return None
+    return StopOrder(command.stamp_ns, "off" if command.mode == "off" else "stop", command.sequence, command.holder)

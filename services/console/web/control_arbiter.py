@@ -72,14 +72,15 @@ class ControlArbiter:
     Call `beat` every few hundredths of a second.
     """
 
-    def __init__(self, max_speed: float, place: str):
+    def __init__(self, max_speed: float, place: str, kind: str = "console"):
         """Start without pages.
 
         Args:
             max_speed: Maximum speed of the robot [m/s].
             place: Name of this console, unique among the consoles of the robot.
+            kind: What the operators use, at the beginning of their names as lease holders.
         """
-        self._max_speed, self._place = max_speed, place
+        self._max_speed, self._place, self._kind = max_speed, place, kind
         self._pages: dict[int, _Page] = {}
         self._state: ActuatorState | None = None
         self._press: _Press | None = None
@@ -99,7 +100,7 @@ class ControlArbiter:
         """
         taken = {other.seat for other in self._pages.values()}
         seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0) if leads else 0
-        name, holder = (f"page {seat}", f"console {seat}") if seat else ("viewer", "console")
+        name, holder = (f"page {seat}", f"{self._kind} {seat}") if seat else ("viewer", self._kind)
         barred = "" if seat else _NO_SEAT if leads else _OVERVIEW
         self._pages[page] = _Page(page, seat, barred, name, f"{holder} at {self._place}", now_ns)
         return seat

@@ -210,6 +210,9 @@ MISTAKES = [
     ("trials table run/report.json", "no finished run in run/report.json"),
     ("keys show keys", "no certificate.pem in keys"),
     ("keys new notes.txt", "notes.txt"),
+    ("drive", "a terminal in the foreground expected on standard input; over SSH start it with `ssh -t"),
+    ("drive --gamepad gone", "gone cannot be opened: No such file or directory; plug the gamepad in"),
+    ("drive --gait trott", "--gait: unknown 'trott'"),
     ("order stand --keys keys", "keys in keys: ca.pem, certificate.pem, key.pem, role.toml expected"),
 ]
 

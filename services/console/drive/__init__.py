@@ -1,0 +1,1 @@
+"""Control of a robot from a terminal, by keys and by a gamepad."""
