@@ -128,7 +128,7 @@ class Simulator:
         servo = profile.servo_angles(q).ravel()
         variation = ServoVariation(real.stiffness.ravel(), real.torque.ravel(), np.radians(real.backlash_deg).ravel())
         bank = make_servo_bank(
-            profile.servo.model,
+            profile.servo,
             list(profile.servo_names),
             servo,
             scenario.battery_ah,

@@ -54,7 +54,7 @@ class BenchEmulator(ServoBusEmulator):
         self.robot = replace(profile, calibration=tuple(entries))  # with the true mounting errors
         ids = list(profile.servo_names)
         q = rng.uniform(-1.0, 1.0, len(ids)) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
-        self._servos = make_servo_bank(profile.servo.model, ids, q)
+        self._servos = make_servo_bank(profile.servo, ids, q)
         if fresh:
             self._servos.tables[:, dxl.ID.address] = dxl.ID.default
         else:

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
+from sextant.shared.robot.profile import Servo
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import ServoError, ServoModel
@@ -526,7 +527,6 @@ class ServoBank:
         self._settings_changed = False
         self._temperature_limit[:] = self._column(dxl.TEMPERATURE_LIMIT)
 
-        # The AX-12A has seven compliance slopes [ticks], powers of two. It exerts its stall torque at an error of one slope.
         for i, (margin, slope) in enumerate(
             [
                 (dxl.CW_COMPLIANCE_MARGIN, dxl.CW_COMPLIANCE_SLOPE),
@@ -534,8 +534,7 @@ class ServoBank:
             ]
         ):
             self._margin[i] = self._column(margin) * dxl.TICK_RAD + self._variation.backlash / 2
-            slopes = np.maximum(self._column(slope), 2).astype(np.float64)  # NumPy takes logarithms of bytes in half precision
-            steps = np.exp2(np.floor(np.log2(slopes)))
+            steps = _slope_ticks(self._column(slope))
             self._stiffness[i] = self._stall_torque / (steps * dxl.TICK_RAD) * self._variation.stiffness
 
         wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
@@ -576,18 +575,31 @@ class ServoBank:
 
 
 def make_servo_bank(
-    model: str,
+    servo: Servo,
     servo_ids: Sequence[int],
     q: Array,
     battery_ah: float = Supply().capacity_ah,
     battery_resistance: float = 1.0,
     variation: ServoVariation | None = None,
 ) -> ServoBank:
-    """Create servos of a named model, with its motors and its supply.
+    """Create the servos of a profile: registers and supply of their model, torque and stiffness of the profile.
 
-    The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a bench supply with constant voltage, and
-    `battery_resistance` is a factor.
+    The profile states the torque at the robot's own voltage, and the actuator converts loads with it. The current of a motor is
+    proportional to its torque. The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a supply with
+    constant voltage, and `battery_resistance` is a factor.
     """
-    motor, supply = MOTOR_AND_SUPPLY[model]
+    motor, supply = MOTOR_AND_SUPPLY[servo.model]
+    current = motor.stall_current * servo.stall_torque / motor.stall_torque
+    motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
-    return ServoBank(servo_ids, dxl.MODEL_NAMED[model], motor, supply=supply, q=q, variation=variation)
+    by_slope = servo.stall_torque / (_slope_ticks(servo.compliance_slope) * dxl.TICK_RAD)
+    n = len(servo_ids)
+    variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
+    variation = replace(variation, stiffness=variation.stiffness * servo.stiffness / by_slope)
+    return ServoBank(servo_ids, dxl.MODEL_NAMED[servo.model], motor, supply=supply, q=q, variation=variation)
+
+
+def _slope_ticks(slope: ArrayLike) -> Array:
+    """Return the position error [ticks] of the full torque at a compliance slope: the AX-12A has seven, powers of two."""
+    slopes = np.maximum(np.asarray(slope), 2).astype(np.float64)  # NumPy takes logarithms of bytes in half precision
+    return np.asarray(np.exp2(np.floor(np.log2(slopes))))

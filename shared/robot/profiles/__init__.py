@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sextant.shared.files import config
+from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import leg_inverse
 from sextant.shared.robot.profile import Foot, Leg, LegLinks, RobotProfile, Stance
 from sextant.shared.spelling import hint
@@ -76,34 +77,54 @@ def profile_names() -> list[str]:
 def _beyond_reach(
     links: LegLinks, legs: tuple[Leg, ...], horns_deg: tuple[float, float, float], foot: Foot, stance: Stance
 ) -> Iterator[config.Misfit]:
-    """Yield an error if a leg cannot reach the ground in the resting stance.
+    """Yield an error if a leg cannot reach the ground in the resting stance, or at an end of the body's height range.
 
     Values that are missing or invalid are skipped, because other checks report them.
     """
     try:
         size = LegLinks(links.coxa, links.femur, links.tibia)
-        down, (front, middle, rear) = foot.radius - stance.body_height, stance.foot_radius_from_coxa
+        down, (front, middle, rear) = foot.radius, stance.foot_radius_from_coxa
+        height, bounds = stance.body_height, stance.body_height_range
     except AttributeError:  # already reported
         return
-    if not all(isinstance(horn, float) for horn in horns_deg):  # already reported
+    if not all(isinstance(number, float) for number in (*horns_deg, *bounds)):  # already reported
         return
+    whole = [all(hasattr(leg, name) for name in ("name", "mount_xyz", "servo_signs", "servo_limits_deg")) for leg in legs]
+    feet = [
+        (leg, np.array([out, 0.0, down - leg.mount_xyz[2]]))
+        for leg, out, known in zip(legs, (front, front, middle, rear, rear, middle), whole, strict=False)
+        if known
+    ]
+
+    def causes(body_height: float) -> list[str]:
+        return _unreachable([(leg, foot - [0.0, 0.0, body_height]) for leg, foot in feet], size, horns_deg)
+
+    where = f"feet {front:g}, {middle:g}, {rear:g} m from the coxa, the body"
+    for cause in (at_rest := causes(height)):
+        yield config.Misfit(
+            "stance", "a resting stance that links and limits allow", f"one ({where} {height:g} m high) {cause}"
+        )
+    for i, bound in enumerate([] if at_rest else bounds):
+        if found := causes(bound):
+            heights = [height, *(h for h in np.arange(0.001, size.femur + size.tibia, 0.001).tolist() if not causes(h))]
+            reached = f"{min(heights):.3f} to {max(heights):.3f} m"
+            allowed = f"a height that links and limits allow with {where} level ({reached})"
+            yield config.Misfit(f"stance.body_height_range[{i}]", allowed, f"{bound:g} m, {' and '.join(found)}")
+
+
+def _unreachable(feet: list[tuple[Leg, Array]], links: LegLinks, horns_deg: tuple[float, float, float]) -> list[str]:
+    """Return why legs cannot place their feet (3,) [m] {coxa}; an empty list if they can."""
     unreached, unturned = [], []
-    for leg, out in zip(legs, (front, front, middle, rear, rear, middle), strict=False):
-        if not all(hasattr(leg, name) for name in ("name", "mount_xyz", "servo_signs", "servo_limits_deg")):
-            continue
-        q = np.degrees(leg_inverse(np.array([out, 0.0, down - leg.mount_xyz[2]]), size))
+    for leg, foot in feet:
+        q = np.degrees(leg_inverse(foot, links))
         servo = np.array(leg.servo_signs) * (q + horns_deg)
         low, high = np.array(leg.servo_limits_deg).T
         if not np.isfinite(q).all():
             unreached.append(leg.name)
         elif not ((low <= servo) & (servo <= high)).all():
             unturned.append(leg.name)
-    where = f"feet {front:g}, {middle:g}, {rear:g} m from the coxa, the body {stance.body_height:g} m high"
-    for names, why in ((unreached, "out of the legs' reach"), (unturned, "beyond the servos' limits")):
-        if names:
-            yield config.Misfit(
-                "stance", "a resting stance that links and limits allow", f"one ({where}) {why} for {', '.join(names)}"
-            )
+    both = ((unreached, "out of the legs' reach"), (unturned, "beyond the servos' limits"))
+    return [f"{why} for {', '.join(names)}" for names, why in both if names]
 
 
 _STANDS = config.Check(("links", "legs", "horn_offsets_deg", "foot", "stance"), _beyond_reach)

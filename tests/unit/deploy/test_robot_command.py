@@ -21,7 +21,7 @@ def test_export_writes_file_or_prints(kind: str, root: str, tmp_path: Path, caps
 
 def test_profile_of_a_file_is_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = tmp_path / "mine.toml"
-    own.write_text('extends = "phantomx_mk2"\nname = "mine"\n[links]\ntibia = 0.15\n', encoding="utf-8")
+    own.write_text('extends = "phantomx_mk2"\nname = "mine"\n[links]\ntibia = 0.134\n', encoding="utf-8")
     assert cli.main(["robot", "export", str(own), "--urdf"]) == 0
     assert capsys.readouterr().out == urdf(load_profile(str(own)))
 

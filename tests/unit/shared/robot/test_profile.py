@@ -199,6 +199,16 @@ def test_profile_is_found_by_name_and_path(tmp_path: Path) -> None:
     [
         ("foot_radius_from_coxa = [0.110", "foot_radius_from_coxa = [0.610", "out of the legs' reach for left front"),
         ("pitch_down_deg = 30", "pitch_down_deg = -80", "camera.pitch_down_deg: an angle from -45"),
+        (
+            "body_height_range = [0.085, 0.15]",
+            "body_height_range = [0.05, 0.15]",
+            r"stance.body_height_range\[0\]: a height .* \(0.083 to 0.19\d m\) expected, found 0.05 m, out of the legs'",
+        ),
+        (
+            "body_height_range = [0.085, 0.15]",
+            "body_height_range = [0.085, 0.3]",
+            r"stance.body_height_range\[1\]: .* found 0.3 m, out of the legs' reach for left front, right front, right middle",
+        ),
     ],
 )
 def test_profile_that_cannot_stand_or_see_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:

@@ -4,7 +4,7 @@ The limits of overload, heat and battery must not be relaxed.
 """
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -26,6 +26,7 @@ from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Register, ServoError
 
 DT = 0.01
+AX_12A, RX_64 = (load_profile(name).servo for name in ("phantomx_mk2", "lotriet_rx64"))
 OVERLOAD, HOT = int(ServoError.OVERLOAD), int(ServoError.OVERHEATING)
 
 
@@ -151,11 +152,11 @@ def test_battery_current_voltage_and_charge() -> None:
 
 
 def test_battery_life_scales_with_capacity_and_converter_never_drains() -> None:
-    small, large = (make_servo_bank("AX-12A", range(1, 19), np.zeros(18), ah) for ah in (4.0, 8.0))
+    small, large = (make_servo_bank(AX_12A, range(1, 19), np.zeros(18), ah) for ah in (4.0, 8.0))
     for bank in (small, large):
         step(bank, torque=0.0, dt=4.0 * 3600 / 1.9)
     assert (small.charge, large.charge) == (pytest.approx(0.0), pytest.approx(0.5))
-    converter = make_servo_bank("RX-64", range(1, 19), np.zeros(18), 0.1)
+    converter = make_servo_bank(RX_64, range(1, 19), np.zeros(18), 0.1)
     step(converter, torque=0.0, dt=3600.0)
     assert converter.voltage == pytest.approx(14.8, abs=0.1)
 
@@ -235,7 +236,7 @@ def test_profile_matches_servo_model_and_supply(name: str) -> None:
     up.
     """
     profile = load_profile(name)
-    bank = make_servo_bank(profile.servo.model, tuple(profile.servo_ids.ravel().tolist()), np.zeros(18))
+    bank = make_servo_bank(profile.servo, tuple(profile.servo_ids.ravel().tolist()), np.zeros(18))
     assert bank.motor.stall_torque == pytest.approx(profile.servo.stall_torque)
     write_register(bank, dxl.TORQUE_ENABLE, 1)
     assert step(bank).stiffness[0] == pytest.approx(profile.servo.stiffness, rel=0.01)
@@ -244,6 +245,26 @@ def test_profile_matches_servo_model_and_supply(name: str) -> None:
     step(bank, torque=0.6 * profile.servo.stall_torque)
     assert bank.voltage > profile.battery.empty_voltage
     assert bank.error(0) == 0
+
+
+@pytest.mark.parametrize(("torque", "stiffness"), [(3.4, 18.0), (5.3, 32.0), (1.2, 9.0)])
+def test_simulated_servos_have_torque_and_stiffness_of_profile(torque: float, stiffness: float) -> None:
+    """Simulate the servos at the voltage of the robot, not of the data sheet.
+
+    The actuator converts loads with the profile's stall torque. If the simulator has another one, swinging feet seem to touch.
+    """
+    servo = replace(RX_64, stall_torque=torque, stiffness=stiffness)
+    bank = make_servo_bank(servo, [1, 2], np.zeros(2))
+    for row in range(2):
+        bank.write(row, dxl.TORQUE_ENABLE.address, b"\x01")
+    command = step(bank)
+    np.testing.assert_allclose(command.stiffness, stiffness)
+    np.testing.assert_allclose(command.torque_limit, torque)
+    step(bank, torque=0.5)
+    assert read_register(bank, dxl.PRESENT_LOAD) * dxl.LOAD_UNIT * servo.stall_torque == pytest.approx(0.5, abs=0.005)
+    resting = bank.current
+    step(bank, torque=0.0)
+    assert resting - bank.current == pytest.approx(2 * 0.5 * RX_64_MOTOR.stall_current / RX_64_MOTOR.stall_torque)
 
 
 def test_every_servo_model_is_emulated() -> None:
