@@ -57,7 +57,9 @@ launch_options = options_of(
     option("--scenario", "scenario to simulate instead of the hardware", "NAME"),
     flag("--no-page", "do not start the console, so there is no operator's page"),
     option("--robot", "profile by name, or path of a TOML file (default: the scenario's, or phantomx_mk2)", "NAME", default=""),
-    option("--camera", "openni2, realsense, none, or a recorded folder (default: the profile's)", "DEVICE", default=""),
+    option(
+        "--camera", "openni2, realsense, oak, orbbec, none, or a recorded folder (default: the profile's)", "DEVICE", default=""
+    ),
     options.seed,
     option("--with", "also run these processes here, e.g. mapper,planner", "NAMES", into="also", multiple=True),
     option("--without", "processes not to start here", "NAMES", multiple=True),
@@ -285,6 +287,7 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
 
     It is "none" where no camera process is started.
     """
+    from sextant.shared.robot.profile import CAMERA_DEVICES
     from sextant.shared.robot.profiles import load_profile
 
     if not any(row.name == "camera" for row in rows):
@@ -292,12 +295,12 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
             raise InputError("--camera: no camera is started here; leave --scenario out, and use the role all or onboard")
         return "none"
     device = str(camera or load_profile(robot).camera.device)
-    if device not in ("openni2", "realsense", "none"):
+    if device not in CAMERA_DEVICES:
         if not (Path(device) / "depth.txt").is_file():
-            raise InputError(f"--camera: openni2, realsense, none, or a folder with depth.txt expected, found {device!r}")
+            raise InputError(f"--camera: {', '.join(CAMERA_DEVICES)}, or a folder with depth.txt expected, found {device!r}")
         return str(Path(device).resolve())
     if device == "none" and not camera:
-        say(f"no camera is started: the profile {robot} names none; give --camera openni2, realsense or a folder")
+        say(f"no camera is started: the profile {robot} names none; give --camera with a device or a folder")
     return device
 
 

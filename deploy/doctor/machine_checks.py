@@ -230,7 +230,7 @@ def depth_camera(robot: str, device: str = "") -> Check:
     level = Level.FAIL if device else Level.WARN
     try:
         from sextant.services.perception.cameras.camera import CameraError
-        from sextant.services.perception.cameras.service import find
+        from sextant.services.perception.cameras.devices import find
         from sextant.shared.robot.profiles import load_profile
     except ImportError as error:
         return Check("camera", level, str(error), "pip install -e '.[perception]'")

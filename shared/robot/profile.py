@@ -243,6 +243,9 @@ class Stance:
         config.verify(self)
 
 
+CAMERA_DEVICES = ("openni2", "realsense", "oak", "orbbec", "none")  # besides the paths of recorded folders
+
+
 @dataclass(frozen=True, slots=True)
 class Camera:
     """Depth camera and its mount.
@@ -260,7 +263,7 @@ class Camera:
     depth_error: float = 0.0  # [1] relative error of the measured depth; positive: it is too large
     distortion: float = 0.0  # [1] radial distortion k1 of Brown's model
     color: bool = False  # whether it also sends colour images
-    # Driver on the robot: "openni2", "realsense", the path of a recorded folder, or "none".
+    # Driver on the robot: "openni2", "realsense", "oak", "orbbec", the path of a recorded folder, or "none".
     device: str = "none"
 
     checks = (
@@ -270,7 +273,7 @@ class Camera:
         *config.each("time_offset_s", lambda offset: abs(offset) <= 1.0, "at most 1 s either way"),
         *config.each("depth_error distortion", lambda share: abs(share) <= 0.5, "at most 0.5 either way"),
         *config.each(
-            "device", lambda device: device.strip() != "", '"openni2", "realsense", "none" or the path of a recorded folder'
+            "device", lambda device: device.strip() != "", f"{', '.join(CAMERA_DEVICES)}, or the path of a recorded folder"
         ),
     )
 

@@ -96,6 +96,18 @@ class DeviceClock:
         return device_ns + min(self._offsets) - self._delay_ns
 
 
+def intrinsics_of(device: str, width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> Intrinsics:
+    """Return the intrinsics that a device reports.
+
+    Raises:
+        CameraError: They are those of no lens.
+    """
+    try:
+        return Intrinsics(width, height, fx, fy, cx, cy)
+    except ValueError as error:
+        raise CameraError(f"{device} reports invalid intrinsics: {error}", "plug it in again, or calibrate it") from error
+
+
 def check_intrinsics(device: str, expected: Intrinsics, found: Intrinsics, tolerance: float = FOCAL_TOLERANCE) -> None:
     """Compare the intrinsics reported by a device with the robot's profile.
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 class Settings:
     """Device and parameters of the camera service."""
 
-    device: str = ""  # "openni2", "realsense", or the path of a recorded folder; empty for the device in the robot's profile
+    device: str = (
+        ""  # "openni2", "realsense", "oak", "orbbec", or a recorded folder; empty for the device in the robot's profile
+    )
     loop: bool = True  # whether a recorded folder restarts at its end
     color_rate_hz: float = 5.0  # maximum rate of colour images, which are sent only with a subscriber
     gray: bool = True  # whether a camera with colour sends a small grey image with each depth image, for `perception.texture`

@@ -13,9 +13,9 @@ from sextant.services.perception.cameras.camera import (
     Frame,
     check_depth_scale,
     check_intrinsics,
+    intrinsics_of,
 )
 from sextant.services.perception.imu.reading import ImuReading
-from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profile import Camera as CameraProfile
 
 _NAME = "Intel RealSense"
@@ -167,7 +167,8 @@ class RealSense(Camera):
             self.description, expected.sensor.depth_scale, 1.0 / profile.get_device().first_depth_sensor().get_depth_scale()
         )
         i = profile.get_stream(self._rs.stream.depth).as_video_stream_profile().get_intrinsics()
-        check_intrinsics(self.description, expected.intrinsics, Intrinsics(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy))
+        found = intrinsics_of(self.description, i.width, i.height, i.fx, i.fy, i.ppx, i.ppy)
+        check_intrinsics(self.description, expected.intrinsics, found)
 
 
 def find() -> list[str]:

@@ -3,12 +3,12 @@
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Self
 
-from sextant.services.perception.cameras.camera import Camera, CameraError, Frame
+from sextant.services.perception.cameras.camera import Camera, Frame
 from sextant.services.perception.cameras.camera_supervisor import CameraSupervisor
 from sextant.services.perception.cameras.config import Settings
+from sextant.services.perception.cameras.devices import open_camera
 from sextant.services.perception.cameras.gray_image import NO_GRAY, gray_image
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 from sextant.services.perception.imu.reading import BodyImu, ImuReading
@@ -140,51 +140,3 @@ class CameraService:
             self._supervisor.close()
         except Exception as error:  # noqa: BLE001 - it is raised again by step, where it ends the process
             self._error = error
-
-
-def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: Callable[[], int]) -> Camera:
-    """Open a camera by its name.
-
-    Args:
-        device: "openni2", "realsense", or the path of a recorded folder.
-        profile: Profile of the robot with its camera.
-        settings: Settings of the camera service.
-        clock: [ns] clock that stamps the images.
-
-    Raises:
-        CameraError: It cannot be opened; the error gives the cause.
-    """
-    if device == "openni2":
-        from sextant.services.perception.cameras.openni import OpenNI
-
-        return OpenNI(profile.camera, clock, settings.delay_s)
-    if device == "realsense":
-        from sextant.services.perception.cameras.realsense import RealSense
-
-        return RealSense(profile.camera, clock, settings.delay_s, imu=profile.imu.device == "camera")
-    if device == "none":
-        raise CameraError(
-            f"the profile {profile.name} names no camera",
-            'set device = "openni2" or "realsense" in its [camera], or give --camera DIR',
-        )
-    from sextant.services.perception.cameras.folder import FolderCamera
-
-    return FolderCamera(Path(device), profile.camera, clock, settings.loop)
-
-
-def find(device: str, profile: RobotProfile) -> list[str]:
-    """List what a camera name refers to, as text; empty if no device is plugged in.
-
-    Raises:
-        CameraError: The search failed, or a recording does not match the profile.
-    """
-    if device == "openni2":
-        from sextant.services.perception.cameras import openni
-
-        return openni.find()
-    if device == "realsense":
-        from sextant.services.perception.cameras import realsense
-
-        return realsense.find()
-    with open_camera(device, profile, Settings(), lambda: 0) as camera:
-        return [camera.description]

@@ -15,7 +15,7 @@ from sextant.deploy.terminal import missing_extra, run_command
 ROOT = Path(__file__).parents[4]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-OWN_ERRORS = {"realsense", "openni", "imu"}  # extras with drivers, whose absence the camera or the IMU reports
+OWN_ERRORS = {"realsense", "openni", "oak", "orbbec", "imu"}  # extras with drivers, whose absence the camera or the IMU reports
 FOR_CHECKOUTS = {"bench", "docs", "dev"}
 BARE = """
 import sys

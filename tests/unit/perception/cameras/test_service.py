@@ -8,7 +8,8 @@ import pytest
 
 from sextant.services.perception.cameras.camera import Camera, CameraError, Frame
 from sextant.services.perception.cameras.config import Settings
-from sextant.services.perception.cameras.service import CameraService, find, open_camera
+from sextant.services.perception.cameras.devices import find, open_camera
+from sextant.services.perception.cameras.service import CameraService
 from sextant.services.perception.imu.reading import ImuReading
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import topics
