@@ -63,6 +63,7 @@ RUN_BY = {
     "recording replay FILE": "tests/unit/evaluation/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
     "record": "tests/live/test_recording.py::test_killed_recorder_loses_less_than_one_second",
     "video": "tests/unit/evaluation/video/test_video.py::test_video_command_renders_run_and_prints_summary",
+    "robot check": "tests/unit/deploy/test_robot_command.py::test_check_prints_limits_and_fails_if_one_is_not_met",
     "robot export": "tests/unit/deploy/test_robot_command.py::test_export_writes_file_or_prints",
     "recording info": "tests/unit/shared/recording/test_recovery.py::test_info_command_lists_content",
     "recording recover": "tests/unit/shared/recording/test_recovery.py::test_recover_command_keeps_source_and_reports_losses",

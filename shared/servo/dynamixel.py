@@ -29,6 +29,14 @@ RETURN_DELAY_NS = 2_000  # [ns] per tick of the return delay register
 DIRECTION_CW = 1 << 10  # direction bit of the speed and load registers
 
 
+def full_torque_ticks(slope: int) -> int:
+    """Return the position error [ticks] at which a servo exerts its full torque, for a value of the compliance slope register.
+
+    The AX-12A has seven compliance slopes, powers of two.
+    """
+    return 1 << max(slope, 2).bit_length() - 1
+
+
 # --------------------------------------------------------------------------------------------------- registers
 
 

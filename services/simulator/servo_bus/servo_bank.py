@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.robot.profile import Servo
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import ServoError, ServoModel
+from sextant.shared.servo.protection import Protection
 
 Array = NDArray[np.float64]
 
@@ -34,23 +35,6 @@ class Motor:
     stall_torque: float = 1.5  # [N m] at a duty of 1
     stall_current: float = 1.5  # [A] at a duty of 1
     standby_current: float = 0.05  # [A] also without torque
-
-
-@dataclass(frozen=True, slots=True)
-class Protection:
-    """Conditions under which a servo shuts down.
-
-    Duty is |motor torque| / stall torque. The values are assumed, because no public measurement exists. They make one third of
-    the stall torque the continuous limit.
-    """
-
-    stall_duty: float = 0.95  # [1] overload latches after `stall_time` at this duty
-    stall_time: float = 1.5  # [s]
-    mean_duty: float = 0.8  # [1] overload latches when the mean duty over `mean_time` exceeds this
-    mean_time: float = 10.0  # [s]
-    ambient: float = 25.0  # [deg C]
-    cooling_time: float = 400.0  # [s] time constant of cooling to ambient
-    heating: float = 1.01  # [K/s] at a duty of 1, proportional to the square of the duty
 
 
 @dataclass(frozen=True, slots=True)
@@ -534,7 +518,7 @@ class ServoBank:
             ]
         ):
             self._margin[i] = self._column(margin) * dxl.TICK_RAD + self._variation.backlash / 2
-            steps = _slope_ticks(self._column(slope))
+            steps = np.array([dxl.full_torque_ticks(value) for value in self._column(slope).tolist()])
             self._stiffness[i] = self._stall_torque / (steps * dxl.TICK_RAD) * self._variation.stiffness
 
         wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
@@ -592,14 +576,8 @@ def make_servo_bank(
     current = motor.stall_current * servo.stall_torque / motor.stall_torque
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
-    by_slope = servo.stall_torque / (_slope_ticks(servo.compliance_slope) * dxl.TICK_RAD)
+    by_slope = servo.stall_torque / (dxl.full_torque_ticks(servo.compliance_slope) * dxl.TICK_RAD)
     n = len(servo_ids)
     variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
     variation = replace(variation, stiffness=variation.stiffness * servo.stiffness / by_slope)
     return ServoBank(servo_ids, dxl.MODEL_NAMED[servo.model], motor, supply=supply, q=q, variation=variation)
-
-
-def _slope_ticks(slope: ArrayLike) -> Array:
-    """Return the position error [ticks] of the full torque at a compliance slope: the AX-12A has seven, powers of two."""
-    slopes = np.maximum(np.asarray(slope), 2).astype(np.float64)  # NumPy takes logarithms of bytes in half precision
-    return np.asarray(np.exp2(np.floor(np.log2(slopes))))

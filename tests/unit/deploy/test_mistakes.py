@@ -155,6 +155,8 @@ MISTAKES = [
     ("servos emulate --listen 70000", "--listen: a whole number of 0 to 65535 expected"),
     ("servos calibrate --out robot.txt", "--out: a file that ends in .toml expected, found robot.txt"),
     # Names of scenarios and profiles.
+    ("robot check phantomx", "no profile 'phantomx'; did you mean 'phantomx_mk2'?"),
+    ("robot check robot.toml", "did you mean 'phantomx_mk2'?"),
     ("robot export phantomx --urdf", "no profile 'phantomx'; did you mean 'phantomx_mk2'?"),
     ("servos scan --robot phantomx", "no profile 'phantomx'; did you mean 'phantomx_mk2'?"),
     ("up all --scenario stiars", "no scenario 'stiars'; did you mean 'stairs'?"),

@@ -1,5 +1,6 @@
-"""`sextant robot export` writes URDF and MJCF."""
+"""`sextant robot`: check and export of profiles."""
 
+import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -50,3 +51,15 @@ def test_invalid_input_is_reported_in_one_sentence(
     assert message in printed.err
     assert len(printed.err.splitlines()) == 1
     assert printed.out == ""
+
+
+@pytest.mark.slow
+def test_check_prints_limits_and_fails_if_one_is_not_met(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["robot", "check", "phantomx_mk2"]) == 0
+    assert capsys.readouterr().out.startswith("phantomx_mk2: passes\n")
+    weak = tmp_path / "weak.toml"
+    weak.write_text('extends = "phantomx_mk2"\nname = "weak"\n[servo]\nstall_torque = 0.5\n', encoding="utf-8")
+    assert cli.main(["robot", "check", str(weak)]) == 1
+    assert "FAIL  torque, tripod" in capsys.readouterr().out
+    assert cli.main(["robot", "check", str(weak), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["passes"] is False

@@ -15,7 +15,6 @@ from sextant.services.simulator.servo_bus.servo_bank import (
     MOTOR_AND_SUPPLY,
     RX_64_MOTOR,
     RX_64_SUPPLY,
-    Protection,
     ServoBank,
     ServoCommand,
     Supply,
@@ -24,6 +23,7 @@ from sextant.services.simulator.servo_bus.servo_bank import (
 from sextant.shared.robot.profiles import load_profile, profile_names
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Register, ServoError
+from sextant.shared.servo.protection import Protection
 
 DT = 0.01
 AX_12A, RX_64 = (load_profile(name).servo for name in ("phantomx_mk2", "lotriet_rx64"))
@@ -92,6 +92,7 @@ def test_motor_protection_and_battery_constants() -> None:
 def test_overheating_shutdown_time_at_constant_torque(torque: float, seconds: float) -> None:
     bank = powered()
     assert run_until(bank, torque, HOT, 400.0, dt=0.05) == pytest.approx(seconds, rel=0.02)
+    assert Protection().time_to_reach(70.0, torque / AX_12A_MOTOR.stall_torque) == pytest.approx(seconds, rel=0.02)
     assert read_register(bank, dxl.TORQUE_LIMIT) == 0
 
 

@@ -1,0 +1,269 @@
+"""Check of a robot profile without a robot: what it can do, which value limits it, and what to change."""
+
+import json
+import math
+import textwrap
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from sextant.evaluation.robot_check.gait_cycle import GaitCycle, standing_torques, walk_cycle
+from sextant.evaluation.robot_check.ground_limits import GroundLimit, find_ground_limits
+from sextant.services.planner.locomotion.gait import GAITS
+from sextant.services.planner.locomotion.step_planner import SHARES
+from sextant.shared.geometry import Array
+from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.profile import JOINTS, RobotProfile
+from sextant.shared.robot.reach import height_range, joint_room, least_support_margin, longest_stride
+from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.protection import Protection
+
+_PROTECTION = Protection()
+_MIN_MINUTES = 20.0  # [min] of walking that the servos must bear, about what a battery lasts
+_MAX_SPEED_SHARE = 0.9  # [1] of the no-load speed: faster joints are late
+_STIFFNESS_SHARE = 0.25  # [1] by which the stiffness may differ from stall torque over compliance slope
+_MIN_OBSTACLE_M, _MIN_SLOPE_DEG = 0.02, 3.0  # obstacles that any walking robot must pass
+_STAND = "stand"
+_WIDTH = 120  # characters of a line
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Motor torques in a posture or a gait, as shares of the stall torque: coxa, femur, tibia."""
+
+    gait: str  # "stand": on six legs
+    body_height: float  # [m]
+    speed: float  # [m/s]
+    static: tuple[float, float, float]  # largest torque that holds the robot
+    peak: tuple[float, float, float]  # largest torque including motion
+    rms: tuple[float, float, float]  # root mean square of the worst leg
+    minutes: float  # [min] until the first servo reaches its temperature limit, infinite if none does
+    temperature: float  # [deg C] that the hottest servo approaches
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """One property of the robot and the value that limits it."""
+
+    name: str
+    value: float
+    needed: float | None  # the least or largest acceptable value; None: any
+    unit: str
+    is_met: bool
+    sentence: str  # what limits it, and what to change
+
+
+@dataclass(frozen=True, slots=True)
+class RobotCheck:
+    """Result of the check of a profile."""
+
+    robot: str
+    loads: tuple[Load, ...]
+    limits: tuple[Limit, ...]
+
+    @property
+    def passes(self) -> bool:
+        """Whether the robot meets all limits."""
+        return all(limit.is_met for limit in self.limits)
+
+    def to_json(self) -> str:
+        """Return the result as JSON; an infinite time is null."""
+        return json.dumps(_plain({**asdict(self), "passes": self.passes}), indent=1) + "\n"
+
+
+def check_robot(profile: RobotProfile) -> RobotCheck:
+    """Compute what a robot can do: reach, torque, heat, speed, stability, and the ground that it can walk over."""
+    heights = sorted({*profile.stance.body_height_range, profile.stance.body_height})
+    cycles = {(gait, height): walk_cycle(profile, gait, height) for gait in GAITS for height in heights}
+    loads = [_standing(profile, height) for height in heights]
+    loads += [_walking(profile, gait, height, cycle) for (gait, height), cycle in cycles.items()]
+    tripod = cycles["tripod", profile.stance.body_height]
+    limits = (
+        *_reach(profile),
+        *_joints(profile, tripod),
+        *_torque(profile, loads),
+        _heat(profile, _walking(profile, "tripod", profile.stance.body_height, tripod)),
+        _speed(profile, tripod),
+        _support(profile, tripod),
+        *_ground(profile),
+    )
+    return RobotCheck(profile.name, tuple(loads), limits)
+
+
+# -------------------------------------------------------------------------------------------------------------- loads
+
+
+def _standing(profile: RobotProfile, height: float) -> Load:
+    feet = profile.rest_feet(height)
+    torque = np.abs(standing_torques(profile, body_inverse(profile, feet), feet, np.ones(6)))
+    return _load(profile, _STAND, height, 0.0, torque.max(axis=0), torque.max(axis=0), torque)
+
+
+def _walking(profile: RobotProfile, gait: str, height: float, cycle: GaitCycle) -> Load:
+    static, peak = (np.abs(torque).max(axis=(0, 1)) for torque in (cycle.standing_torque, cycle.torque))
+    return _load(profile, gait, height, cycle.speed, static, peak, cycle.rms_torque)
+
+
+def _load(profile: RobotProfile, gait: str, height: float, speed: float, static: Array, peak: Array, rms: Array) -> Load:
+    """Return a load from torques [N m]: static and peak (3,) of the joints, rms (6, 3)."""
+    stall, limit = profile.servo.stall_torque, profile.servo.temperature_limit
+    hottest = float(rms.max()) / stall
+    minutes = _PROTECTION.time_to_reach(limit, hottest) / 60.0
+    of_static, of_peak, of_rms = (_three(torque / stall) for torque in (static, peak, rms.max(axis=0)))
+    return Load(gait, height, speed, of_static, of_peak, of_rms, minutes, _PROTECTION.final_temperature(hottest))
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    coxa, femur, tibia = values.tolist()
+    return coxa, femur, tibia
+
+
+# ------------------------------------------------------------------------------------------------------------- limits
+
+
+def _reach(profile: RobotProfile) -> Iterator[Limit]:
+    stance = profile.stance
+    (low, high), (lowest, highest) = height_range(profile), stance.body_height_range
+    words = (
+        f"resting feet reach the ground from {_cm(low)} to {_cm(high)}, body_height_range uses {_cm(lowest)} to {_cm(highest)}"
+    )
+    fits = low <= lowest + 1e-3 and highest <= high + 1e-3
+    yield Limit("height", high - low, highest - lowest, "m", fits, f"{words}; stance.foot_radius_from_coxa moves both ends")
+    for place, height, needed in (
+        ("stride", stance.body_height, stance.stride),
+        ("stride, low", lowest, min(SHARES) * stance.stride),
+        ("stride, high", highest, min(SHARES) * stance.stride),
+    ):
+        found = longest_stride(profile, height)
+        words = f"at a body height of {_cm(height)} a stride of {_cm(found.length)} is possible, {_cm(needed)} needed"
+        change = "change stance.foot_radius_from_coxa, stance.stride or the height"
+        is_met = found.length >= needed - 1e-9
+        yield Limit(place, found.length, needed, "m", is_met, f"{words}; limited by {found.limited_by}: {change}")
+
+
+def _joints(profile: RobotProfile, cycle: GaitCycle) -> Iterator[Limit]:
+    room = np.degrees(joint_room(profile, cycle.q, cycle.share))
+    worst = int(np.argmin(room))
+    listed = ", ".join(f"{joint} {angle:.0f}" for joint, angle in zip(JOINTS, room.tolist(), strict=True))
+    words = f"standing legs of the tripod gait keep {listed} deg from their limits; legs.servo_limits_deg sets them"
+    yield Limit("joint room", float(room[worst]), 0.0, "deg", bool(room[worst] >= 0.0), words)
+    fastest = np.abs(cycle.rate).max(axis=(0, 1)) / profile.servo.no_load_speed
+    worst = int(np.argmax(fastest))
+    share = f"{fastest[worst]:.0%} of servo.no_load_speed"
+    words = f"the {JOINTS[worst]} turns fastest, at {share}; a lower stance.foot_speed slows swings"
+    is_met = bool(fastest[worst] <= _MAX_SPEED_SHARE)
+    yield Limit("joint speed", float(fastest[worst]), _MAX_SPEED_SHARE, "of no-load speed", is_met, words)
+
+
+def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
+    for gait in (_STAND, *GAITS):
+        of_gait = [load for load in loads if load.gait == gait]
+        worst = max(of_gait, key=lambda load: max(load.static))
+        share = max(worst.static)
+        joint = JOINTS[worst.static.index(share)]
+        most = _PROTECTION.mean_duty
+        name = "standing" if gait == _STAND else f"the {gait} gait"
+        words = (
+            f"{name} takes {share:.0%} of the stall torque at a {joint}, at a body height of {_cm(worst.body_height)}; "
+            "feet nearer to the coxa (stance.foot_radius_from_coxa) or less body.mass lower it"
+        )
+        yield Limit(f"torque, {gait}", share, most, "of stall torque", share <= most, words)
+    servo = profile.servo
+    by_slope = servo.stall_torque / (dxl.full_torque_ticks(servo.compliance_slope) * dxl.TICK_RAD)
+    ratio = servo.stiffness / by_slope
+    words = (
+        f"servo.stiffness is {servo.stiffness:g} N m/rad, stall torque over compliance slope {by_slope:.3g} N m/rad; "
+        "a wrong one makes the body sag"
+    )
+    yield Limit("stiffness", ratio, 1.0, "of torque over slope", abs(ratio - 1.0) <= _STIFFNESS_SHARE, words)
+
+
+def _heat(profile: RobotProfile, load: Load) -> Limit:
+    limit, joint = profile.servo.temperature_limit, JOINTS[load.rms.index(max(load.rms))]
+    torque = max(load.rms) * profile.servo.stall_torque
+    lasts = "for hours" if math.isinf(load.minutes) else f"for {load.minutes:.0f} min, then a servo reaches {limit:g} deg C"
+    words = (
+        f"walking in the tripod gait lasts {lasts}: the {joint} takes {torque:.2f} N m rms and heats to {load.temperature:.0f} "
+        "deg C in the end; a lower stance.foot_speed, a longer stance.step_s or nearer feet cool it"
+    )
+    return Limit("heat", load.minutes, _MIN_MINUTES, "min", load.minutes >= _MIN_MINUTES, words)
+
+
+def _speed(profile: RobotProfile, cycle: GaitCycle) -> Limit:
+    stance = profile.stance
+    if cycle.step_s > stance.step_s + 1e-9:
+        limiting = f"stance.foot_speed, by which a step takes {cycle.step_s:.2f} s"
+    elif cycle.travel < stance.max_speed * stance.step_s - 1e-9:
+        limiting = "stance.stride over stance.step_s"
+    else:
+        limiting = "stance.max_speed"
+    words = f"the tripod gait walks at {100 * cycle.speed:.1f} cm/s, limited by {limiting}"
+    return Limit("speed", cycle.speed, None, "m/s", cycle.speed > 0.0, words)
+
+
+def _support(profile: RobotProfile, cycle: GaitCycle) -> Limit:
+    margin, needed = least_support_margin(profile, cycle.feet, cycle.share), profile.stance.support_margin
+    words = (
+        f"in the tripod gait the centre of mass stays {_cm(margin)} inside the standing feet, stance.support_margin needs "
+        f"{_cm(needed)}; a shorter stance.stride, a wider stance or body.centre_of_mass in the middle adds to it"
+    )
+    return Limit("support margin", margin, needed, "m", margin >= needed, words)
+
+
+def _ground(profile: RobotProfile) -> Iterator[Limit]:
+    found = find_ground_limits(profile)
+    for name, limit in (("step up", found.riser), ("step down", found.drop), ("gap", found.gap)):
+        unit = _cm(limit.passed)
+        words = f"the step planner passes a {name} of {unit}{_then(limit, '' if limit.refused is None else _cm(limit.refused))}"
+        yield Limit(name, limit.passed, _MIN_OBSTACLE_M, "m", limit.passed >= _MIN_OBSTACLE_M - 1e-9, words)
+    slope, refused = math.degrees(found.slope.passed), found.slope.refused
+    words = f"the step planner passes a slope of {slope:.0f} deg"
+    words += _then(found.slope, "" if refused is None else f"{math.degrees(refused):.0f} deg")
+    yield Limit("slope", slope, _MIN_SLOPE_DEG, "deg", slope >= _MIN_SLOPE_DEG - 1e-9, words)
+
+
+def _then(limit: GroundLimit, refused: str) -> str:
+    """Return why the next larger obstacle is not passed, as the end of a sentence."""
+    return f"; at {refused}: {limit.reason}" if refused else ", the largest that was tried"
+
+
+def _cm(length: float) -> str:
+    return f"{100 * length:.1f} cm"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON takes it: infinite numbers become None."""
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# --------------------------------------------------------------------------------------------------------------- text
+
+
+def describe(check: RobotCheck) -> str:
+    """Return a check as text: a table of the loads, then one sentence per limit."""
+    lines = [
+        f"{check.robot}: {'passes' if check.passes else 'fails'}",
+        "",
+        "shares of the stall torque [%], coxa / femur / tibia",
+        "gait      height     speed       static          peak           rms     lasts",
+    ]
+    for load in check.loads:
+        static, peak, rms = (
+            " /".join(f"{100 * part:3.0f}" for part in shares) for shares in (load.static, load.peak, load.rms)
+        )
+        lasts = "hours" if math.isinf(load.minutes) else f"{load.minutes:.0f} min"
+        row = (
+            f"{load.gait:7} {_cm(load.body_height):>8} {100 * load.speed:5.1f} cm/s {static:>14}{peak:>14}{rms:>14} {lasts:>9}"
+        )
+        lines.append(row)
+    width = max(len(limit.name) for limit in check.limits)
+    for limit in check.limits:
+        start = f"{'ok  ' if limit.is_met else 'FAIL'}  {limit.name:{width}}  "
+        lines += ["", *textwrap.wrap(limit.sentence, _WIDTH, initial_indent=start, subsequent_indent=" " * len(start))]
+    return "\n".join(lines)

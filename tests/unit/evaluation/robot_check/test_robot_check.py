@@ -1,0 +1,124 @@
+"""Check of a profile: shipped robots pass, and each mistake fails with the value that causes it."""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.evaluation.robot_check.gait_cycle import standing_torques, walk_cycle
+from sextant.evaluation.robot_check.ground_limits import find_ground_limits
+from sextant.evaluation.robot_check.robot_check import RobotCheck, check_robot, describe
+from sextant.services.planner.locomotion.gait import GAITS
+from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.profile import GRAVITY, RobotProfile
+from sextant.shared.robot.profiles import load_profile, profile_names
+from sextant.shared.servo.protection import Protection
+
+PROFILE = load_profile("phantomx_mk2")
+
+
+def failures(check: RobotCheck) -> dict[str, str]:
+    return {limit.name: limit.sentence for limit in check.limits if not limit.is_met}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", profile_names())
+def test_shipped_profiles_pass(name: str) -> None:
+    check = check_robot(load_profile(name))
+    assert check.passes, failures(check)
+    text = describe(check)
+    assert text.startswith(f"{name}: passes\n")
+    assert all(len(line) <= 120 for line in text.splitlines())
+    found = json.loads(check.to_json())
+    assert found["passes"] is True
+    assert {load["gait"] for load in found["loads"]} == {"stand", *GAITS}
+    assert all(limit["sentence"] and "value" in limit for limit in found["limits"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("table", "changes", "limit", "words"),
+    [
+        ("servo", {"stall_torque": 0.5}, "torque, tripod", r"of the stall torque at a femur"),
+        ("servo", {"stall_torque": 0.8}, "heat", r"for \d+ min, then a servo reaches 70 deg C"),
+        ("servo", {"stiffness": 18.0}, "stiffness", r"servo.stiffness is 18 N m/rad, stall torque over compliance slope 9.16"),
+        ("servo", {"no_load_speed": 3.0}, "joint speed", "a lower stance.foot_speed slows swings"),
+        ("stance", {"stride": 0.19}, "stride", r"19.0 cm needed; limited by the \w+ \w+ leg, by its coxa joint"),
+        ("body", {"centre_of_mass": (0.11, 0.0, 0.0)}, "support margin", "body.centre_of_mass in the middle adds to it"),
+    ],
+)
+def test_mistake_fails_with_the_value_that_causes_it(table: str, changes: dict[str, object], limit: str, words: str) -> None:
+    part = replace(getattr(PROFILE, table), **changes)
+    check = check_robot(replace(PROFILE, **{table: part}))
+    found = failures(check)
+    assert limit in found, found
+    assert re.search(words, found[limit]), found[limit]
+
+
+def heavier(profile: RobotProfile, factor: float) -> RobotProfile:
+    body = profile.body
+    coxa, femur, tibia = (factor * mass for mass in body.leg_link_masses)
+    return replace(profile, body=replace(body, mass=factor * body.mass, leg_link_masses=(coxa, femur, tibia)))
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_standing_torque_is_proportional_to_mass(name: str) -> None:
+    profile = load_profile(name)
+    feet = profile.rest_feet()
+    q = body_inverse(profile, feet)
+    once, twice = (standing_torques(heavier(profile, k), q, feet, np.ones(6)) for k in (1.0, 2.0))
+    np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-9, atol=1e-12)
+
+
+def test_standing_torque_of_a_femur_is_load_times_arm() -> None:
+    """Six equal legs of a symmetric robot carry a sixth of its weight each; a femur also holds its own leg."""
+    stance = replace(PROFILE.stance, foot_radius_from_coxa=(0.12, 0.12, 0.12))
+    legs = tuple(
+        replace(leg, mount_xyz=(0.1 * math.cos(yaw), 0.1 * math.sin(yaw), 0.0), neutral_yaw_deg=math.degrees(yaw))
+        for leg, yaw in zip(PROFILE.legs, np.radians([30, -30, -90, -150, 150, 90]).tolist(), strict=True)
+    )
+    robot = replace(PROFILE, stance=stance, legs=legs)
+    feet = robot.rest_feet()
+    torque = standing_torques(robot, body_inverse(robot, feet), feet, np.ones(6))
+    np.testing.assert_allclose(torque, np.tile(torque[0], (6, 1)), atol=1e-9)
+    load = robot.body.total_mass * GRAVITY / 6
+    outward = 0.15 * load * (robot.stance.body_height - robot.foot.radius)
+    arm = 0.12 - robot.links.coxa
+    own = abs(torque[0, 1]) - abs(-load * arm + outward)
+    assert abs(own) < 0.05  # the links' own weight
+
+
+@pytest.mark.parametrize("gait", list(GAITS))
+def test_cycle_is_that_of_the_gait(gait: str) -> None:
+    cycle = walk_cycle(PROFILE, gait)
+    stands = cycle.share == 1.0
+    np.testing.assert_allclose(stands.mean(axis=0), GAITS[gait].duty, atol=0.06)
+    assert np.isfinite(cycle.torque).all()
+    assert within_limits(PROFILE, cycle.q[stands.all(axis=1)]).all()
+    # Standing feet move backwards with the ground, as far as the body moves.
+    ahead = np.diff(cycle.feet[..., 0], axis=0)[stands[1:] & stands[:-1]]
+    np.testing.assert_allclose(ahead, -cycle.travel / (len(cycle.feet) / len(GAITS[gait].groups)), atol=1e-9)
+    # The vertical forces are those of gravity at every moment: without motion, the body would not accelerate.
+    assert cycle.speed <= PROFILE.stance.max_speed + 1e-9
+
+
+@pytest.mark.slow
+def test_longer_legs_pass_higher_steps() -> None:
+    longer = replace(PROFILE, links=replace(PROFILE.links, femur=0.085), stance=replace(PROFILE.stance, body_height=0.12))
+    usual, high = find_ground_limits(PROFILE), find_ground_limits(longer)
+    assert high.riser.passed > usual.riser.passed
+    assert usual.riser.refused is not None
+    assert usual.riser.reason
+    assert usual.gap.passed >= PROFILE.stance.search_radius
+
+
+def test_heat_rises_to_its_final_temperature() -> None:
+    protection = Protection()
+    assert math.isinf(protection.time_to_reach(70.0, 1.0 / 3.0))
+    final = protection.final_temperature(0.6)
+    times = [protection.time_to_reach(limit, 0.6) for limit in (30.0, 70.0, 0.999 * final)]
+    assert times == sorted(times)
+    assert times[1] == pytest.approx(150.0, rel=0.02)

@@ -1,0 +1,36 @@
+"""The check of a profile against the simulated robot: torques of standing and walking."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.evaluation.lockstep.lockstep_run import LockstepRun
+from sextant.evaluation.robot_check.gait_cycle import standing_torques, walk_cycle
+from sextant.shared.robot.kinematics import body_inverse
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.wire import topics
+from sextant.shared.wire.messages import Mode
+from tests.support.walks import Heard, S, flat, walk
+
+
+def test_standing_torques_are_those_of_the_simulated_robot() -> None:
+    """Agree within 3.5 % of the stall torque.
+
+    Statics do not determine by how much six feet push against each other, and friction keeps what standing up has left.
+    """
+    profile = load_profile("phantomx_mk2")
+    heard = Heard((topics.TRUTH, topics.ACTUATOR_STATE))
+    LockstepRun(flat(1.0), 1000, profile, heard.tap, every_frame=False).run(round(2.4 * S))
+    assert heard.of(topics.ACTUATOR_STATE)[-1].mode is Mode.STAND
+    measured = np.mean([truth.torque for truth in heard.of(topics.TRUTH, 2.2)], axis=0)
+    feet = profile.rest_feet()
+    computed = standing_torques(profile, body_inverse(profile, feet), feet, np.ones(6))
+    np.testing.assert_allclose(measured, computed, atol=0.035 * profile.servo.stall_torque)
+
+
+@pytest.mark.parametrize(("robot", "distance"), [("phantomx_mk2", 1.5), ("lotriet_rx64", 1.0)])
+def test_rms_torque_of_the_worst_joint_is_that_of_the_simulated_walk(robot: str, distance: float) -> None:
+    walked = walk(replace(flat(distance), robot=robot), 1000)
+    computed = walk_cycle(load_profile(robot), "tripod").rms_torque.max()
+    assert computed == pytest.approx(walked.report.torque_nm.rms_worst_joint, rel=0.1)
