@@ -8,7 +8,8 @@ import yaml
 
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.shared.scenario import scenario
-from sextant.shared.servo.dynamixel import MODELS, ServoModel
+from sextant.shared.servo.models import MODELS
+from sextant.shared.servo.servo_model import ServoModel
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

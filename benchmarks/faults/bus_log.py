@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser, Register
+from sextant.shared.servo.dynamixel import Instruction, PacketParser
+from sextant.shared.servo.servo_model import Packet, Register
 
 _SIDES = ("sent", "heard")
 

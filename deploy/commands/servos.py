@@ -340,10 +340,10 @@ def _ended_once() -> AbstractContextManager[object]:
 @contextmanager
 def _line(bus: Bus, profile: "RobotProfile") -> "Iterator[Line]":
     """Open the servo port; close it at the end, also after a signal."""
-    from sextant.services.actuator.commissioning.set_ids import USUAL_RATES, Line
+    from sextant.services.actuator.commissioning.set_ids import Line, usual_rates
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE
 
-    rates = (BAUD_RATE,) if bus.networked else USUAL_RATES
+    rates = (BAUD_RATE,) if bus.networked else usual_rates(profile.servo_model)
     with _ended_once(), closing(Line(lambda rate: _open(bus, profile, rate), rates)) as line:
         yield line
 
@@ -355,14 +355,13 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None) -> "ServoB
         BusDisconnectedError: The port cannot be opened.
     """
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus, open_port
-    from sextant.shared.servo import dynamixel as dxl
 
     patience, names = _NETWORK_PATIENCE_NS if bus.networked else PATIENCE_NS, profile.servo_names
     return ServoBus(
         open_port(bus.port, rate or BAUD_RATE, patience),
         list(names),
         time.monotonic_ns,
-        model=dxl.MODEL_NAMED[profile.servo.model],
+        model=profile.servo_model,
         names=names,
         echo=bus.echo,
         reply_timeout_ns=patience,
@@ -389,11 +388,10 @@ def _profile(robot: str) -> "RobotProfile":
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
     from sextant.services.actuator.servo_bus.bus_scan import BusResponse
-    from sextant.shared.servo import dynamixel as dxl
 
     seen = one.seen
     row: dict[str, object] = {"id": seen.servo_id, "baud": one.rate, "joint": profile.servo_names.get(seen.servo_id, "")}
     if seen.response is not BusResponse.CLEAR:
         return row | {"problem": seen.response.value}
     measured = {"voltage": round(seen.voltage, 1), "temperature": seen.temperature}
-    return row | {"model": seen.model, "firmware": seen[dxl.FIRMWARE], **measured}
+    return row | {"model": seen.model, "firmware": seen[profile.servo_model.table.firmware], **measured}

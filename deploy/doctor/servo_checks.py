@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterator
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,16 +81,15 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that all of the robot's servos respond, and their state."""
     from sextant.services.actuator.servo_bus.bus_scan import problems
     from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, open_port
-    from sextant.shared.servo import dynamixel as dxl
 
-    name, names, model = f"servo port {port}", profile.servo_names, dxl.MODEL_NAMED[profile.servo.model]
+    name, names, model = f"servo port {port}", profile.servo_names, profile.servo_model
     try:
         opened = open_port(port, timeout_ns=_PATIENCE_NS)
     except BusDisconnectedError as error:
         yield Check(name, Level.FAIL, str(error), "give another port with --port")
         return
     try:
-        seen, echo = _called(opened, names)
+        seen, echo = _called(opened, profile)
     except BusDisconnectedError as error:
         yield Check(name, Level.FAIL, str(error), "check the plug and the cable")
         return
@@ -103,7 +103,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     wrong = problems(names, seen, model)
     words = "; ".join(dict.fromkeys(problem.words for problem in wrong.values()))
     advice = "; ".join(dict.fromkeys(problem.advice for problem in wrong.values()))
-    pulling = sum(bool(one[dxl.TORQUE_ENABLE]) for i, one in seen.items() if i not in wrong)
+    pulling = sum(bool(one[model.table.torque_enable]) for i, one in seen.items() if i not in wrong)
     fine = f"all {len(names)} servos answer" + (f"; torque is on at {pulling} of them" if pulling else "")
     yield Check(name, Level.FAIL if wrong else Level.OK, words or fine, advice)
     right = [one for i, one in seen.items() if i not in wrong]
@@ -113,7 +113,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
         yield Check("servo settings", Level.WARN, words, wrong_settings[0].advice)
 
 
-def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, ServoScan], bool]":
+def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan], bool]":
     """Return the servos that respond, and whether the adapter echoes.
 
     The port is closed at the end.
@@ -121,13 +121,14 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, ServoScan],
     from sextant.services.actuator.servo_bus.bus_scan import BusResponse, call
     from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 
-    bus = ServoBus(port, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
+    names = profile.servo_names
+    connect = partial(ServoBus, port, list(names), time.monotonic_ns, model=profile.servo_model, names=names)
+    bus = connect(reply_timeout_ns=_PATIENCE_NS)
     try:
         seen = call(bus, names)
         if not any(one.response is BusResponse.ECHO for one in seen.values()):
             return seen, False
-        hearing = ServoBus(port, list(names), time.monotonic_ns, names=names, echo=True, reply_timeout_ns=_PATIENCE_NS)
-        return call(hearing, names), True
+        return call(connect(echo=True, reply_timeout_ns=_PATIENCE_NS), names), True
     finally:
         bus.close()
 
@@ -135,7 +136,6 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, ServoScan],
 def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
     """Check voltage, temperature and error registers of working servos."""
     from sextant.services.actuator.servo_bus.bus_scan import WARM, error_of, named
-    from sextant.shared.servo import dynamixel as dxl
 
     if not seen:
         return
@@ -143,7 +143,7 @@ def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
     volts, degrees = sorted(one.voltage for one in seen), [one.temperature for one in seen]
     advice = f"charge the battery to at least {low:g} V" if volts[0] < low else ""
     yield Check("servo voltage", Level.WARN if advice else Level.OK, f"{volts[0]:.1f} to {volts[-1]:.1f} V", advice)
-    warm = [one for one in seen if one.temperature > one[dxl.TEMPERATURE_LIMIT] - WARM]
+    warm = [one for one in seen if one.temperature > one[profile.servo_model.table.temperature_limit] - WARM]
     words = ", ".join(named(one.servo_id, names) for one in warm)
     found = f"{min(degrees):.0f} to {max(degrees):.0f} deg C" + (f"; near their limit: {words}" if warm else "")
     yield Check("servo temperature", Level.WARN if warm else Level.OK, found, "let the servos cool down" if warm else "")

@@ -37,7 +37,6 @@ from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.simulated_time import SimulatedTime
 from sextant.shared.scenario.mover import Mover
 from sextant.shared.scenario.scenario import Fault, Scenario, load_scenario
-from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
@@ -135,11 +134,14 @@ class Simulator:
             real.battery_resistance,
             variation,
         )
+        model, table = bank.model, bank.table
         for row, angle in enumerate(servo):
-            bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # configured for 1 Mbit/s
-            bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))
-            bank.write(row, dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.encode(dxl.ticks_from_angle(angle)))
-            bank.write(row, dxl.TORQUE_ENABLE.address, b"\x01")
+            configured = {
+                table.baud_rate: model.rate_code(BusTiming().baud_rate),
+                table.goal_position: model.units.ticks(angle),
+            }
+            for register, value in {**profile.servo.controller_settings, **configured, table.torque_enable: 1}.items():
+                bank.write(row, register.address, register.encode(value))
         return bank
 
     def _wired(self, scenario: Scenario) -> BusFaults:

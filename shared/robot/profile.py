@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from sextant.shared.files import config
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.servo.models import MODEL_NAMED
+from sextant.shared.servo.servo_model import Register, ServoModel
 
 LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 JOINTS = ("coxa", "femur", "tibia")
@@ -114,6 +116,12 @@ class Servo:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @property
+    def controller_settings(self) -> dict[Register, int]:
+        """Settings of the servo's position controller, by register."""
+        table = MODEL_NAMED[self.model].table
+        return dict.fromkeys(table.compliance[2:], self.compliance_slope)
 
     @property
     def warm_temperature(self) -> float:
@@ -416,6 +424,11 @@ class RobotProfile:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @property
+    def servo_model(self) -> ServoModel:
+        """Registers and units of the servos."""
+        return MODEL_NAMED[self.servo.model]
 
     @cached_property
     def servo_ids(self) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Dynamixel Protocol 1.0: registers, packets and units, without port or clock.
+"""Dynamixel Protocol 1.0: packets, and the control table of the AX and RX series with its units.
 
 Sources: ROBOTIS e-manual, control tables of AX-12A and RX-64, and Protocol 1.0; AX-12 user's manual 2006 for the ranges.
 """
@@ -6,18 +6,29 @@ Sources: ROBOTIS e-manual, control tables of AX-12A and RX-64, and Protocol 1.0;
 import math
 import struct
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from enum import IntEnum, IntFlag, StrEnum
-from types import MappingProxyType
-from typing import NamedTuple
+from collections.abc import Iterable
+from enum import IntEnum, StrEnum
+
+from sextant.shared.servo.servo_model import (
+    ControlTable,
+    Packet,
+    ServoError,
+    Sign,
+    Units,
+    signed,
+    unsigned,
+)
+from sextant.shared.servo.servo_model import measured as _r
+from sextant.shared.servo.servo_model import setting as _rw
 
 HEADER = b"\xff\xff"
 BROADCAST_ID = 0xFE
 MAX_ID = 0xFD
 OVERHEAD = 6  # bytes of a packet besides its parameters: header, id, length, instruction or error, checksum
+PING_SIZE = 0
 MAX_PARAMETERS = 0xFD  # the length byte counts the parameters and two more bytes
 BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
+ERRORS = tuple(map(ServoError, range(256)))  # by the error byte of a status packet
 
 TICK_CENTRE = 512  # position register at servo angle 0
 TICK_MAX = 1023
@@ -27,6 +38,17 @@ LOAD_UNIT = 0.001  # fraction of the stall torque per tick of the load register 
 VOLT_UNIT = 0.1  # [V] per tick of the voltage register
 RETURN_DELAY_NS = 2_000  # [ns] per tick of the return delay register
 DIRECTION_CW = 1 << 10  # direction bit of the speed and load registers
+UNITS = Units(
+    centre=TICK_CENTRE,
+    max_position=TICK_MAX,
+    tick_rad=TICK_RAD,
+    speed_rad_s=SPEED_RAD_S,
+    load=LOAD_UNIT,
+    volt=VOLT_UNIT,
+    speed_sign=Sign.BIT_10,
+    load_sign=Sign.BIT_10,
+    torque=LOAD_UNIT,
+)
 
 
 def full_torque_ticks(slope: int) -> int:
@@ -38,45 +60,6 @@ def full_torque_ticks(slope: int) -> int:
 
 
 # --------------------------------------------------------------------------------------------------- registers
-
-
-class Access(StrEnum):
-    """Access of a register for the host."""
-
-    READ = "R"
-    READ_WRITE = "RW"
-
-
-@dataclass(frozen=True, slots=True)
-class Register:
-    """One register of a control table, little-endian, one or two bytes."""
-
-    name: str
-    address: int
-    size: int  # [bytes]
-    access: Access
-    default: int  # value after a factory reset; 0 for measured values
-    min: int  # lowest value that may be written
-    max: int  # highest value that may be written
-    eeprom: bool  # persists without power, locked by the Lock register
-
-    def encode(self, value: int) -> bytes:
-        """Encode a value.
-
-        Raises:
-            ValueError: The value is outside the register's range.
-        """
-        if not self.min <= value <= self.max:
-            raise ValueError(f"{self.name} takes {self.min} to {self.max}, found {value}")
-        return value.to_bytes(self.size, "little")
-
-
-def _r(name: str, address: int, size: int, default: int, *, eeprom: bool = False) -> Register:
-    return Register(name, address, size, Access.READ, default, 0, (1 << 8 * size) - 1, eeprom)
-
-
-def _rw(name: str, address: int, size: int, default: int, low: int, high: int, *, eeprom: bool = False) -> Register:
-    return Register(name, address, size, Access.READ_WRITE, default, low, high, eeprom)
 
 
 MODEL_NUMBER = _r("model number", 0, 2, 12, eeprom=True)
@@ -124,42 +107,39 @@ REGISTERS = (
 # fmt: on
 
 
-@dataclass(frozen=True, slots=True)
-class ServoModel:
-    """Servo model: the common control table, and the factory values that differ."""
-
-    name: str
-    number: int  # value of the model number register
-    overrides: Mapping[str, int]  # register name -> factory value, where it differs from the AX-12A
-    no_load_rpm: float  # [rpm] in joint mode, at the highest voltage of the e-manual
-
-    @property
-    def no_load_speed(self) -> float:
-        """No-load speed [rad/s] in joint mode."""
-        return self.no_load_rpm * 2.0 * math.pi / 60.0
-
-    def default(self, register: Register) -> int:
-        """Return the factory value of a register."""
-        if register is MODEL_NUMBER:
-            return self.number
-        return self.overrides.get(register.name, register.default)
-
-    def factory_table(self) -> bytes:
-        """Return the control table (50 bytes) with its factory values."""
-        table = bytearray(TABLE_SIZE)
-        for register in REGISTERS:
-            value = self.default(register)
-            table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
-        return bytes(table)
-
-
-AX_12A = ServoModel("AX-12A", 12, MappingProxyType({}), 59.0)
-RX_64 = ServoModel("RX-64", 64, MappingProxyType({"baud rate": 34, "temperature limit": 80, "max voltage": 190}), 64.0)
-# These two models have the AX-12A's control table.
-AX_18A = ServoModel("AX-18A", 18, MappingProxyType({"temperature limit": 75, "max torque": 983}), 97.0)
-AX_12W = ServoModel("AX-12W", 300, MappingProxyType({}), 54.0)
-MODELS = (AX_12A, AX_18A, AX_12W, RX_64)
-MODEL_NAMED = {model.name: model for model in MODELS}
+TABLE = ControlTable(
+    size=TABLE_SIZE,
+    registers=REGISTERS,
+    eeprom=range(MODEL_NUMBER.address, SHUTDOWN.address + 1),
+    ram=range(TORQUE_ENABLE.address, LOCK.address + 1),
+    model_number=MODEL_NUMBER,
+    firmware=FIRMWARE,
+    id=ID,
+    baud_rate=BAUD_RATE,
+    return_delay=RETURN_DELAY,
+    status_return_level=STATUS_RETURN_LEVEL,
+    low_limit=CW_ANGLE_LIMIT,
+    high_limit=CCW_ANGLE_LIMIT,
+    temperature_limit=TEMPERATURE_LIMIT,
+    min_voltage=MIN_VOLTAGE,
+    max_voltage=MAX_VOLTAGE,
+    max_torque=MAX_TORQUE,
+    shutdown=SHUTDOWN,
+    torque_enable=TORQUE_ENABLE,
+    goal_position=GOAL_POSITION,
+    goal_speed=MOVING_SPEED,
+    torque_limit=TORQUE_LIMIT,
+    present_position=PRESENT_POSITION,
+    present_speed=PRESENT_SPEED,
+    present_load=PRESENT_LOAD,
+    present_voltage=PRESENT_VOLTAGE,
+    present_temperature=PRESENT_TEMPERATURE,
+    moving=MOVING,
+    registered=REGISTERED,
+    unlocked=range(TORQUE_ENABLE.address, TORQUE_LIMIT.address + TORQUE_LIMIT.size),
+    lock=LOCK,
+    compliance=(CW_COMPLIANCE_MARGIN, CCW_COMPLIANCE_MARGIN, CW_COMPLIANCE_SLOPE, CCW_COMPLIANCE_SLOPE),
+)
 
 
 def baud_rate(value: int) -> int:
@@ -175,7 +155,7 @@ def angle_from_ticks(ticks: float) -> float:
 
     It is 0 at the centre tick and counterclockwise positive; 1023 ticks are 300 deg.
     """
-    return (ticks - TICK_CENTRE) * TICK_RAD
+    return UNITS.angle(ticks)
 
 
 def ticks_from_angle(angle: float) -> int:
@@ -183,7 +163,7 @@ def ticks_from_angle(angle: float) -> int:
 
     The caller checks the range.
     """
-    return round(angle / TICK_RAD) + TICK_CENTRE
+    return UNITS.ticks(angle)
 
 
 def signed_magnitude(value: int) -> int:
@@ -191,14 +171,12 @@ def signed_magnitude(value: int) -> int:
 
     Bit 10 means clockwise, which is negative here.
     """
-    magnitude = value & 0x3FF
-    return -magnitude if value & DIRECTION_CW else magnitude
+    return signed(value & (2 * DIRECTION_CW - 1), Sign.BIT_10)
 
 
 def direction_magnitude(value: int) -> int:
     """Compute the inverse of `signed_magnitude`, saturated at 1023."""
-    magnitude = min(abs(value), 0x3FF)
-    return magnitude | DIRECTION_CW if value < 0 and magnitude else magnitude
+    return unsigned(value, Sign.BIT_10)
 
 
 def speed_from_register(value: int) -> float:
@@ -253,45 +231,6 @@ class Instruction(IntEnum):
     ACTION = 5
     RESET = 6
     SYNC_WRITE = 0x83
-
-
-class ServoError(IntFlag):
-    """Error bits of a status packet, and of the alarm and shutdown registers."""
-
-    NONE = 0
-    INPUT_VOLTAGE = 1 << 0
-    ANGLE_LIMIT = 1 << 1
-    OVERHEATING = 1 << 2
-    RANGE = 1 << 3
-    CHECKSUM = 1 << 4
-    OVERLOAD = 1 << 5
-    INSTRUCTION = 1 << 6
-
-
-_ERROR_WORDS = {
-    ServoError.INPUT_VOLTAGE: "input voltage outside its limits",
-    ServoError.ANGLE_LIMIT: "goal outside the angle limits",
-    ServoError.OVERHEATING: "overheating",
-    ServoError.RANGE: "value out of range",
-    ServoError.CHECKSUM: "checksum of the instruction was wrong",
-    ServoError.OVERLOAD: "overload",
-    ServoError.INSTRUCTION: "undefined instruction, or action without registered write",
-}
-
-
-def error_words(error: int) -> str:
-    """Return an error byte as text, empty when no bit is set."""
-    return ", ".join(words for bit, words in _ERROR_WORDS.items() if error & bit)
-
-
-class Packet(NamedTuple):
-    """Instruction or status packet; both have the same format."""
-
-    servo_id: int
-    code: int  # instruction, or error bits of a status packet
-    parameters: bytes
-    end: int = 0  # stream offset after its checksum, counted since the parser was made
-    intact: bool = True  # False only from a parser that keeps packets with a wrong checksum
 
 
 def encode(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
@@ -353,6 +292,31 @@ def sync_write(address: int, size: int, rows: Iterable[tuple[int, bytes]]) -> by
         body.append(servo_id)
         body += data
     return encode(BROADCAST_ID, Instruction.SYNC_WRITE, bytes(body))
+
+
+def sync_write_rows(address: int, size: int, rows: bytes) -> bytes:
+    """Encode a sync write from rows of an id and `size` bytes each."""
+    return encode(BROADCAST_ID, Instruction.SYNC_WRITE, bytes((address, size)) + rows)
+
+
+def answer_start(servo_id: int) -> bytes:
+    """Return the bytes with which a status packet of a servo begins."""
+    return HEADER + bytes((servo_id,))
+
+
+def answer_parser(max_parameters: int) -> "PacketParser":
+    """Return a parser of status packets with at most this many parameters."""
+    return PacketParser(max_length=max_parameters + 2)
+
+
+def instruction_parser() -> "PacketParser":
+    """Return a parser of instruction packets, which also returns those with a wrong checksum."""
+    return PacketParser(keep_broken=True)
+
+
+def error_code(refusal: int, state: int) -> int:
+    """Return the error byte, from the errors of an instruction and those of the servo's state."""
+    return refusal | state
 
 
 def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:

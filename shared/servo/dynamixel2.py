@@ -11,7 +11,7 @@ Sources: ROBOTIS e-manual, Protocol 2.0 (https://emanual.robotis.com/docs/en/dxl
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 
-from sextant.shared.servo.dynamixel import Packet, ServoError
+from sextant.shared.servo.servo_model import Packet, ServoError
 from sextant.shared.servo.stream_parser import Dropped, StreamParser
 
 HEADER = b"\xff\xff\xfd\x00"

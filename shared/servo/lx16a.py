@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from types import MappingProxyType
 
-from sextant.shared.servo.dynamixel import Packet
+from sextant.shared.servo.servo_model import Packet
 from sextant.shared.servo.stream_parser import Dropped, StreamParser
 
 HEADER = b"\x55\x55"

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from enum import StrEnum
 
-from sextant.shared.servo.dynamixel import Packet
+from sextant.shared.servo.servo_model import Packet
 
 
 class Dropped(StrEnum):

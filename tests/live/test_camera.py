@@ -11,7 +11,7 @@ from sextant.services.simulator.servo_bus.servo_bank import AX_12A_MOTOR, ServoB
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.models import AX_12A
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import CameraState, DepthImage, Health
 from sextant.shared.wire.ports import free_port
@@ -45,7 +45,7 @@ def test_onboard_services_publish_images_and_report_missing_camera(tmp_path: Pat
         health = (codec.decode(frame, Health)[0] for frame in heard["health"])
         return {m.status for m in health if m.service == "camera"}
 
-    with TcpBusServer(ServoBusEmulator(ServoBank(ids, dxl.AX_12A, AX_12A_MOTOR))) as servos:
+    with TcpBusServer(ServoBusEmulator(ServoBank(ids, AX_12A, AX_12A_MOTOR))) as servos:
         words = ("--camera", str(folder), "--set", f"actuator.port={servos.url}", "--listen", endpoint)
         with Command("up", "onboard", *words, cwd=tmp_path) as up:
             up.wait_for(lambda: "starting" in up.text(), "the router")

@@ -7,7 +7,7 @@ from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import Register
 
 PHANTOMX = load_profile("phantomx_mk2")
 
@@ -39,7 +39,7 @@ class Desk:
 
     def bus(self) -> ServoBus:
         names = self.profile.servo_names
-        model = dxl.MODEL_NAMED[self.profile.servo.model]
+        model = self.profile.servo_model
         return ServoBus(self.open(), list(names), self.clock, model=model, names=names)
 
     def settle(self) -> None:
@@ -52,7 +52,7 @@ class Desk:
         """Return the row of the first servo that has this ID."""
         return self.bench._with_id(servo_id)[0]
 
-    def change(self, servo_id: int, register: dxl.Register, value: int) -> None:
+    def change(self, servo_id: int, register: Register, value: int) -> None:
         """Change a value in a servo's table, bypassing the host."""
         self.bench._servos.write(self.row(servo_id), register.address, register.encode(value))
         self.bench._find_listeners()

@@ -17,7 +17,8 @@ from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
-from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser, Register
+from sextant.shared.servo.dynamixel import Instruction, PacketParser
+from sextant.shared.servo.servo_model import Packet, Register
 
 PROFILE = load_profile("phantomx_mk2")
 IDS = PROFILE.servo_ids.ravel().tolist()

@@ -5,20 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.limited_motion import TORQUE_LIMIT, get, hold, limited_motion, put, ready, silent
+from sextant.services.actuator.commissioning.limited_motion import TORQUE_SHARE, get, hold, limited_motion, put, ready, silent
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, health_problem, retry, scan_servo
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import Block, signed
 
 STEP_DEG = 6.0
-_STEP_TICKS = round(np.radians(STEP_DEG) / dxl.TICK_RAD)
 _WAY_NS, _PATIENCE_NS = 600_000_000, 2_000_000_000  # [ns] for a motion of a third of a second, and timeout
 _OPEN_DEG = 3.0  # largest error from compliance and leg weight
 _STRAINED = 0.9  # share of the torque limit
-_STATE = range(dxl.PRESENT_POSITION.address, dxl.MOVING.address + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +69,7 @@ def run_joint_test(
         return None
     if not operator.agree(
         f"Each joint of {len(legs)} legs will move by {STEP_DEG:g} deg and back, one at a time, slowly, with "
-        f"{TORQUE_LIMIT / 10:.0f} % of its torque. Is the robot on a stand, its legs free?"
+        f"{100 * TORQUE_SHARE:.0f} % of its torque. Is the robot on a stand, its legs free?"
     ):
         operator.say("nothing was moved, torque is off")
         return None
@@ -91,17 +89,19 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
     Its torque is off again afterwards.
     """
     servo_id = int(profile.servo_ids[leg, joint])
+    units = bus.model.units
+    step = round(np.radians(STEP_DEG) / units.tick_rad)  # [ticks]
     with limited_motion(bus, [servo_id]):
-        start = get(bus, servo_id, dxl.PRESENT_POSITION)
-        sign, up = _way(profile, leg, joint, start)
+        start = get(bus, servo_id, bus.model.table.present_position)
+        sign, up = _way(profile, leg, joint, units.angle(start))
         hold(bus, [servo_id])
-        there, load = _go(bus, servo_id, min(max(start + sign * up * _STEP_TICKS, 0), dxl.TICK_MAX), clock)
+        there, load = _go(bus, servo_id, min(max(start + sign * up * step, 0), units.max_position), clock)
         back, load_back = _go(bus, servo_id, start, clock)
     seen = scan_servo(bus, servo_id, listen=False)
     if seen is None or seen.response is not BusResponse.CLEAR:
         raise silent(bus, servo_id, "its state was being read after its motion")
     least_v = profile.battery.warn_voltage
-    asked, moved, left = sign * np.degrees(np.array([up * sign * _STEP_TICKS, there - start, back - start]) * dxl.TICK_RAD)
+    asked, moved, left = sign * np.degrees(np.array([up * sign * step, there - start, back - start]) * units.tick_rad)
     return Moved(
         name=profile.servo_names[servo_id],
         way=_words(profile, leg, joint, up),
@@ -117,16 +117,18 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
 
 def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tuple[int, float]:
     """Move a servo to a goal; return its final position register and maximum load."""
-    put(bus, servo_id, dxl.GOAL_POSITION, goal)
+    table, units = bus.model.table, bus.model.units
+    block = Block((table.present_position, table.present_load, table.moving))
+    put(bus, servo_id, table.goal_position, goal)
     began, load = clock(), 0.0
     while True:
-        state = retry(lambda: bus.read_bytes(servo_id, _STATE.start, len(_STATE)))
+        state = retry(lambda: bus.read_bytes(servo_id, block.address, block.size))
         if state is None:
             raise silent(bus, servo_id, "it was moving")
-        position, _, load_register, *_ = dxl.PRESENT_STATE.unpack_from(state)
-        load = max(load, abs(dxl.load_from_register(load_register)))
+        position, load_register, moving = block.unpack(state)
+        load = max(load, abs(signed(load_register, units.load_sign, table.present_load.size)) * units.load)
         took = clock() - began
-        if took > _PATIENCE_NS or (took > _WAY_NS and not state[-1]):
+        if took > _PATIENCE_NS or (took > _WAY_NS and not moving):
             return position, load
 
 
@@ -136,18 +138,18 @@ def _problem(asked: float, moved: float, left: float, load: float) -> str:
         return "did not reach its goal: an obstacle blocks it, or the horn slips"
     if abs(left) > _OPEN_DEG:
         return "did not return: an obstacle blocks it, or the horn slips"
-    if load > _STRAINED * TORQUE_LIMIT / 1000:
+    if load > _STRAINED * TORQUE_SHARE:
         return "needs too much torque: check that the leg moves freely and its screws are not too tight"
     return ""
 
 
-def _way(profile: RobotProfile, leg: int, joint: int, start: int) -> tuple[int, int]:
-    """Return the servo's sign and the free direction of the joint.
+def _way(profile: RobotProfile, leg: int, joint: int, start: float) -> tuple[int, int]:
+    """Return the servo's sign and the free direction of the joint, from its servo angle [rad].
 
     The direction is positive if the limit allows, else negative.
     """
     sign = int(profile.servo_signs[leg, joint])
-    servo = np.tile(dxl.angle_from_ticks(start), (len(LEGS), len(JOINTS)))
+    servo = np.tile(start, (len(LEGS), len(JOINTS)))
     q = profile.joint_angles(servo)[leg, joint]
     return sign, 1 if q + np.radians(STEP_DEG) <= profile.joint_limits[leg, joint, 1] else -1
 

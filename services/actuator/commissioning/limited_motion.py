@@ -15,17 +15,16 @@ from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Register
+from sextant.shared.servo.servo_model import Register
 
-TORQUE_LIMIT = 300  # [0.1 % of the stall torque] lifts a leg in the air; a finger can stop it
-MOVING_SPEED = dxl.moving_speed_from(np.radians(20.0))
+TORQUE_SHARE = 0.3  # [1] of the stall torque; it lifts a leg in the air, and a finger can stop it
+_SPEED_RAD_S = np.radians(20.0)
 _NOT_RESTORED = (
     "its torque was being turned off and its registers restored; turn torque off with `sextant servos off`, "
     "then switch its power off and on again"
 )
 _READS = 5  # position readings, for their median
-_STILL_TICKS = 3  # largest position change over these readings for a servo at rest
+_STILL_RAD = np.radians(0.9)  # largest position change over these readings for a servo at rest
 
 
 class ServoNotRespondingError(SextantError, RuntimeError):
@@ -40,7 +39,7 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     Report problems to the operator.
     """
     seen = call(bus, profile.servo_names)
-    wrong = problems(profile.servo_names, seen, dxl.MODEL_NAMED[profile.servo.model])
+    wrong = problems(profile.servo_names, seen, profile.servo_model)
     low = profile.battery.warn_voltage
     told = [f"{words}: {advice}" for words, advice in dict.fromkeys(wrong.values())]
     told += [
@@ -49,7 +48,7 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     if told:
         operator.say("the servos are not ready, nothing was moved:\n  " + "\n  ".join(told))
         return False
-    return _released([one for one in seen.values() if one[dxl.TORQUE_ENABLE]], bus, operator)
+    return _released([one for one in seen.values() if one[bus.model.table.torque_enable]], bus, operator)
 
 
 def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -> bool:
@@ -61,7 +60,7 @@ def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -
         operator.say("nothing was changed: end the program that drives the robot, place it on a stand, and start again")
         return False
     for one in holding:
-        put(bus, one.servo_id, dxl.TORQUE_ENABLE, 0)
+        put(bus, one.servo_id, bus.model.table.torque_enable, 0)
     return True
 
 
@@ -71,12 +70,13 @@ def limited_motion(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
 
     The servos must be without torque.
     """
-    before = {(i, r): get(bus, i, r) for i in servo_ids for r in (dxl.MOVING_SPEED, dxl.TORQUE_LIMIT)}
-    again = {(i, dxl.TORQUE_ENABLE): 0 for i in servo_ids} | before
+    table, units = bus.model.table, bus.model.units
+    before = {(i, r): get(bus, i, r) for i in servo_ids for r in (table.goal_speed, table.torque_limit)}
+    again = {(i, table.torque_enable): 0 for i in servo_ids} | before
     try:
         for i in servo_ids:
-            put(bus, i, dxl.TORQUE_LIMIT, TORQUE_LIMIT)
-            put(bus, i, dxl.MOVING_SPEED, MOVING_SPEED)
+            put(bus, i, table.torque_limit, round(TORQUE_SHARE / units.torque))
+            put(bus, i, table.goal_speed, max(round(_SPEED_RAD_S / units.speed_rad_s), 1))
         yield
     finally:
         try:
@@ -100,16 +100,17 @@ def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
     Goals are sent first, because not every firmware holds its position.
     """
     for i in servo_ids:
-        put(bus, i, dxl.GOAL_POSITION, get(bus, i, dxl.PRESENT_POSITION))
-        put(bus, i, dxl.TORQUE_ENABLE, 1)
+        put(bus, i, bus.model.table.goal_position, get(bus, i, bus.model.table.present_position))
+        put(bus, i, bus.model.table.torque_enable, 1)
 
 
 def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
     """Return angles (n,) [rad] of servos at rest, None while one moves."""
-    ticks = np.array([[get(bus, i, dxl.PRESENT_POSITION) for i in servo_ids] for _ in range(_READS)])
-    if (np.ptp(ticks, axis=0) > _STILL_TICKS).any():
+    position, units = bus.model.table.present_position, bus.model.units
+    ticks = np.array([[get(bus, i, position) for i in servo_ids] for _ in range(_READS)])
+    if (np.ptp(ticks, axis=0) > round(_STILL_RAD / units.tick_rad)).any():
         return None
-    return np.array([dxl.angle_from_ticks(t) for t in np.median(ticks, axis=0)])
+    return np.array([units.angle(t) for t in np.median(ticks, axis=0)])
 
 
 def get(bus: ServoBus, servo_id: int, register: Register) -> int:

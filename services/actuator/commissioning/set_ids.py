@@ -10,7 +10,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from sextant.services.actuator.servo_bus.bus_scan import (
-    ANSWER_ALL,
     FACTORY_ID,
     SET_ID,
     BusResponse,
@@ -28,11 +27,10 @@ from sextant.services.actuator.servo_bus.bus_scan import (
 )
 from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import ServoModel
 
-ALL_IDS = range(dxl.MAX_ID + 1)
-USUAL_RATES = (BAUD_RATE, dxl.baud_rate(dxl.RX_64.default(dxl.BAUD_RATE)))
-_SETTINGS = {dxl.STATUS_RETURN_LEVEL: ANSWER_ALL, dxl.RETURN_DELAY: 0}  # in this order: the return delay identifies new servos
+ALL_IDS = range(254)  # of all protocols
+_FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
 _LEAVE = "q"
 _NO_ANSWER_ADVICE = (
     "check their power and the cable at the adapter, or try --echo; a bridge does not pass scans on, see docs/bridge.md"
@@ -64,12 +62,12 @@ class Operator(Protocol):
 class Line:
     """Servo port that can be opened at several baud rates."""
 
-    def __init__(self, open_bus: Callable[[int], ServoBus], rates: Sequence[int] = USUAL_RATES) -> None:
+    def __init__(self, open_bus: Callable[[int], ServoBus], rates: Sequence[int] = (BAUD_RATE,)) -> None:
         """Store the opener; nothing is opened yet.
 
         Args:
             open_bus: Opens the port at a rate [1/s].
-            rates: Rates to try, the robot's own first. A network port has no rates, so give only one.
+            rates: Rates to try, the robot's own first, see `usual_rates`. A network port has no rates, so give only one.
         """
         self.rates = tuple(rates)
         self._open_bus = open_bus
@@ -88,6 +86,12 @@ class Line:
         if self._bus is not None:
             self._bus.close()
             self._bus = None
+
+
+def usual_rates(model: ServoModel) -> tuple[int, ...]:
+    """Return the baud rates [1/s] at which servos of a model may answer: the robot's own, and those of factories."""
+    factory = model.rates[model.default(model.table.baud_rate)]
+    return tuple(dict.fromkeys((BAUD_RATE, factory, *_FACTORY_RATES)))
 
 
 class Found(NamedTuple):
@@ -125,7 +129,8 @@ def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None
 def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
     """Return a table of the servos, one per line; "?" follows the joint of a servo with factory settings."""
     answering = {seen.servo_id: seen for _, seen in found}
-    unassigned = is_unassigned(answering, profile.servo_names, dxl.MODEL_NAMED[profile.servo.model])
+    firmware = profile.servo_model.table.firmware
+    unassigned = is_unassigned(answering, profile.servo_names, profile.servo_model)
     lines = [f"{'id':>3}  {'baud':>7}  {'model':<8} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
     for rate, seen in found:
         name = profile.servo_names.get(seen.servo_id, "")
@@ -135,13 +140,17 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
             continue
         measured = f"{seen.voltage:>5.1f} V  {seen.temperature:>5.0f} deg C"
-        lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {seen[dxl.FIRMWARE]:>8}  {measured}  {name}".rstrip())
+        lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {seen[firmware]:>8}  {measured}  {name}".rstrip())
     return "\n".join(lines)
 
 
 def holding(found: Sequence[Found], profile: RobotProfile) -> str:
     """Return which servos have torque on, or an empty string."""
-    pulling = [one.seen.servo_id for one in found if one.seen.response is BusResponse.CLEAR and one.seen[dxl.TORQUE_ENABLE]]
+    pulling = [
+        one.seen.servo_id
+        for one in found
+        if one.seen.response is BusResponse.CLEAR and one.seen[profile.servo_model.table.torque_enable]
+    ]
     if not pulling:
         return ""
     others = f", and of {len(pulling) - 1} more" if len(pulling) > 1 else ""
@@ -161,7 +170,7 @@ def verdict(
     """
     names = {i: name for i, name in profile.servo_names.items() if i in asked}
     heard = {seen.servo_id: seen for rate, seen in found if rate == BAUD_RATE}
-    wrong = problems(names, heard, dxl.MODEL_NAMED[profile.servo.model])
+    wrong = problems(names, heard, profile.servo_model)
     missing, unanswered = [i for i in names if i not in heard], []
     if not each and len(missing) == len(names) > 1:
         missing, unanswered = [], [Problem(f"none of {len(names)} servos answers", _NO_ANSWER_ADVICE)]
@@ -186,9 +195,9 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
 
     This is advice: the actuator works with them.
     """
-    model, reach, found = dxl.MODEL_NAMED[profile.servo.model], _reach(profile), []
+    model, reach, found = profile.servo_model, _reach(profile), []
     for one in seen:
-        if one.response is BusResponse.CLEAR and one[dxl.MODEL_NUMBER] == model.number and not one.is_wheel:
+        if one.response is BusResponse.CLEAR and one.number == model.number and not one.is_wheel:
             words = "; ".join(dict.fromkeys(setting.words for setting in wrong_settings(one, model, reach[one.servo_id])))
             found += [Problem(f"{named(one.servo_id, profile.servo_names)} {words}", _UNLESS_MEANT)] if words else []
     return found
@@ -197,7 +206,8 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
 def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
     """Return lowest and highest position register for each servo's joint, by id."""
     ends = np.sort([profile.servo_angles(profile.joint_limits[..., end]) for end in (0, 1)], axis=0)
-    ticks = np.clip(np.vectorize(dxl.ticks_from_angle)(ends), 0, dxl.TICK_MAX)
+    units = profile.servo_model.units
+    ticks = np.clip(np.vectorize(units.ticks)(ends), 0, units.max_position)
     return {int(i): (int(low), int(high)) for i, low, high in zip(profile.servo_ids.flat, *map(np.ravel, ticks), strict=True)}
 
 
@@ -254,7 +264,7 @@ def _collide(found: Sequence[Found], operator: Operator) -> bool:
 def _has_place(one: Found, profile: RobotProfile) -> bool:
     """Return whether a servo has the robot's type and the id of a joint."""
     seen = one.seen
-    if seen.response is not BusResponse.CLEAR or seen[dxl.MODEL_NUMBER] != dxl.MODEL_NAMED[profile.servo.model].number:
+    if seen.response is not BusResponse.CLEAR or seen.number != profile.servo_model.number:
         return False
     return seen.servo_id in profile.servo_names
 
@@ -267,7 +277,8 @@ def _is_set(one: Found, profile: RobotProfile) -> bool:
     seen = one.seen
     if one.rate != BAUD_RATE or not _has_place(one, profile) or seen.is_wheel:
         return False
-    wanted = _SETTINGS | {dxl.BAUD_RATE: dxl.BAUD_RATE.default}
+    model = profile.servo_model
+    wanted = {**model.joint_settings, model.table.baud_rate: model.rate_code(BAUD_RATE)}
     return all(seen[register] == value for register, value in wanted.items())
 
 
@@ -381,23 +392,27 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
     """
     bus, old = line.at(one.rate), one.seen.servo_id
     seen = (wake(bus, old) if one.seen.response is BusResponse.MUTE else None) or one.seen
-    wanted = dxl.MODEL_NAMED[profile.servo.model]
-    if seen.response is not BusResponse.CLEAR or seen[dxl.MODEL_NUMBER] != wanted.number:
+    wanted = profile.servo_model
+    if seen.response is not BusResponse.CLEAR or seen.number != wanted.number:
         what = f"it is an {seen.model}" if seen.response is BusResponse.CLEAR else f"it {seen.response.value}"
         instead = "plug in another one" if seen.response is BusResponse.CLEAR else "try again"
         operator.say(f"an {wanted.name} expected, but {what}: the servo is unchanged; {instead}")
         return None
-    if seen[dxl.LOCK]:
+    table = wanted.table
+    if table.lock and seen[table.lock] and not wanted.unlocks:
         operator.say(f"servo {old} is locked, as after use by the actuator: switch its power off and on, then try again")
         return None
     safe = [(setting.register, setting.value) for setting in wrong_settings(seen, wanted, _reach(profile)[target])]
     refused = [register.name for register, value in safe if not ensure(bus, old, register, value)]
     if not refused:
         if old != target:
-            bus.write_unacknowledged(old, dxl.ID, target)  # the answer may have the old id or the new one
-        refused = [register.name for register, value in _SETTINGS.items() if not ensure(bus, target, register, value)]
-    if not refused and seen[dxl.BAUD_RATE] != dxl.BAUD_RATE.default:  # last, because it then no longer answers at this rate
-        bus.write_unacknowledged(target, dxl.BAUD_RATE, dxl.BAUD_RATE.default)
+            bus.write_unacknowledged(old, table.id, target)  # the answer may have the old id or the new one
+        refused = [
+            register.name for register, value in wanted.joint_settings.items() if not ensure(bus, target, register, value)
+        ]
+    fast = wanted.rate_code(BAUD_RATE)
+    if not refused and seen[table.baud_rate] != fast:  # last, because it then no longer answers at this rate
+        bus.write_unacknowledged(target, table.baud_rate, fast)
     back = scan_servo(line.at(BAUD_RATE), target)
     given = None if back is None else Found(BAUD_RATE, back)
     if refused or given is None or not _is_set(given, profile):

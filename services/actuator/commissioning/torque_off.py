@@ -8,7 +8,6 @@ from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.bus_scan import named
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servo_interface import Servos
-from sextant.shared.servo import dynamixel as dxl
 
 
 def torque_off(bus: Servos) -> dict[int, str]:
@@ -23,11 +22,11 @@ def torque_off(bus: Servos) -> dict[int, str]:
     bus.set_torque(False)
     bus.open_session()
     bus.set_torque(False)
-    left = {}
+    left, enable = {}, bus.model.table.torque_enable
     for servo_id in bus.servo_ids:
-        if not took(bus, servo_id, dxl.TORQUE_ENABLE, 0):
+        if not took(bus, servo_id, enable, 0):
             left[servo_id] = "does not answer, or refuses the order"
-        elif bus.read(servo_id, dxl.TORQUE_ENABLE):
+        elif bus.read(servo_id, enable):
             left[servo_id] = "reports that its torque is on"
     return left
 

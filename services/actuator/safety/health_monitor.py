@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, WARM_K, RobotProfile
-from sextant.shared.servo.dynamixel import ServoError
+from sextant.shared.servo.servo_model import ServoError
 
 SILENT = 4  # consecutive unanswered requests from which a servo counts as silent
 _QUIET_S = 0.1  # [s] without any reading from which the bus, not one servo, is silent

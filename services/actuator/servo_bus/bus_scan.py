@@ -12,18 +12,13 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Register, ServoError, ServoModel
+from sextant.shared.servo.models import MODELS
+from sextant.shared.servo.servo_model import Register, ServoError, ServoModel, error_words
 
-FACTORY_ID = dxl.ID.default
-ANSWER_ALL = 2  # status return level
+FACTORY_ID = 1  # of all makers
 _ATTEMPTS = 3  # per request: a busy host or a spike on the wire loses one occasionally
 _STRANGE_BYTES = 16  # unrequested bytes from which another device sends: fewer are noise on an open line
 _FEW = 3  # servos that are named one by one
-_MODEL_NAMES = {model.number: model.name for model in dxl.MODELS}
-_ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as its own answer
-_EEPROM = range(dxl.MODEL_NUMBER.address, dxl.SHUTDOWN.address + 1)
-_RAM = range(dxl.TORQUE_ENABLE.address, dxl.LOCK.address + 1)
 
 T = TypeVar("T")
 
@@ -69,6 +64,8 @@ class Setting(NamedTuple):
 
 class Bus(Protocol):
     """Part of `ServoBus` that is used here."""
+
+    model: ServoModel  # type of the robot's servos
 
     @property
     def garbled(self) -> int:
@@ -123,7 +120,8 @@ class ServoScan:
 
     servo_id: int
     response: BusResponse
-    table: bytes = b""  # (48,) control table from address 0 up to Lock; empty unless the response is clear
+    expected: ServoModel  # the robot's servos are of this type, whose control table these bytes are
+    table: bytes = b""  # from address 0; empty unless the response is clear
     error: ServoError = ServoError.NONE
 
     def __getitem__(self, register: Register) -> int:
@@ -133,23 +131,27 @@ class ServoScan:
     @property
     def model(self) -> str:
         """Name of its model, or its number."""
-        number = self[dxl.MODEL_NUMBER]
-        return _MODEL_NAMES.get(number, f"model {number}")
+        return model_name(self.number, self.expected) or f"model {self.number}"
+
+    @property
+    def number(self) -> int:
+        """Number of its model."""
+        return self[self.expected.table.model_number]
 
     @property
     def voltage(self) -> float:
         """Present voltage [V]."""
-        return self[dxl.PRESENT_VOLTAGE] * dxl.VOLT_UNIT
+        return self[self.expected.table.present_voltage] * self.expected.units.volt
 
     @property
     def temperature(self) -> float:
         """Present temperature [deg C]."""
-        return float(self[dxl.PRESENT_TEMPERATURE])
+        return float(self[self.expected.table.present_temperature])
 
     @property
     def is_wheel(self) -> bool:
         """Whether the servo is in wheel mode; requires a clear response."""
-        return not self[dxl.CW_ANGLE_LIMIT] and not self[dxl.CCW_ANGLE_LIMIT]
+        return not self[self.expected.table.low_limit] and not self[self.expected.table.high_limit]
 
 
 def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | None:
@@ -164,19 +166,22 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
     crowd = (listen or error is None) and _crowded(bus, servo_id)
     if error is None and not crowd:
         return None
-    model = retry(lambda: bus.read(servo_id, dxl.MODEL_NUMBER))
-    if model == _ECHOED_MODEL:
-        return ServoScan(servo_id, BusResponse.ECHO)
+    expected, table = bus.model, bus.model.table
+    register = table.model_number
+    model = retry(lambda: bus.read(servo_id, register))
+    if model == int.from_bytes((register.address, register.size), "little"):  # the request, read as its own answer
+        return ServoScan(servo_id, BusResponse.ECHO, expected)
     if crowd or error is None:
         _refuse_another_device(bus)
-        return ServoScan(servo_id, BusResponse.DOUBLED)
+        return ServoScan(servo_id, BusResponse.DOUBLED, expected)
     if model is None:
-        return ServoScan(servo_id, BusResponse.MUTE)
+        return ServoScan(servo_id, BusResponse.MUTE, expected)
     garbled = bus.garbled
-    eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (_EEPROM, _RAM))
+    eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (table.eeprom, table.ram))
     if eeprom is None or ram is None:  # same models answer alike to the model number, but their measurements differ
-        return ServoScan(servo_id, BusResponse.DOUBLED if bus.garbled > garbled else BusResponse.FADING)
-    return ServoScan(servo_id, BusResponse.CLEAR, eeprom + bytes(_RAM.start - _EEPROM.stop) + ram, error)
+        return ServoScan(servo_id, BusResponse.DOUBLED if bus.garbled > garbled else BusResponse.FADING, expected)
+    contents = bytes(table.eeprom.start) + eeprom + bytes(table.ram.start - table.eeprom.stop) + ram
+    return ServoScan(servo_id, BusResponse.CLEAR, expected, contents, error)
 
 
 def _crowded(bus: Bus, servo_id: int) -> bool:
@@ -244,8 +249,9 @@ def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str], model
     if first is None or FACTORY_ID not in names or first.response is not BusResponse.CLEAR or names.keys() <= seen.keys():
         return False
     others = [one for i, one in seen.items() if i in names and i != FACTORY_ID and one.response is BusResponse.CLEAR]
-    delay = model.default(dxl.RETURN_DELAY)
-    return first[dxl.RETURN_DELAY] == delay and all(one[dxl.RETURN_DELAY] != delay for one in others)
+    register = model.table.return_delay
+    delay = model.default(register)
+    return first[register] == delay and all(one[register] != delay for one in others)
 
 
 def unreachable(missing: Collection[int], names: Mapping[int, str]) -> dict[int, Problem]:
@@ -299,6 +305,11 @@ def reset_servos(missing: Iterable[int], names: Mapping[int, str]) -> str:
     return f"a reset sets id {FACTORY_ID}: this may be {words}"
 
 
+def model_name(number: int, like: ServoModel) -> str:
+    """Return the name of the model with this number whose registers are on the same bus as those of `like`, or ""."""
+    return next((one.name for one in MODELS if one.number == number and one.table.model_number == like.table.model_number), "")
+
+
 def named(servo_id: int, names: Mapping[int, str]) -> str:
     """Return a servo's id and name: "servo 9 (left rear femur)"."""
     name = names.get(servo_id, "")
@@ -309,9 +320,9 @@ def _wrong(seen: ServoScan, model: ServoModel) -> Problem | None:
     """Return the problem of a servo that answers, or None."""
     if seen.response is not BusResponse.CLEAR:
         return Problem(seen.response.value, _REMEDIES[seen.response])
-    if seen[dxl.MODEL_NUMBER] != model.number:
-        found = _MODEL_NAMES.get(seen[dxl.MODEL_NUMBER], "unknown")
-        words = f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
+    if seen.number != model.number:
+        found = model_name(seen.number, model) or "unknown"
+        words = f"is model {seen.number} ({found}), expected {model.number} ({model.name})"
         return Problem(words, "replace it by the right model, or choose the profile of a robot with this model")
     if seen.is_wheel:
         return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: this sets joint mode")
@@ -328,18 +339,22 @@ def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -
         model: Its type.
         reach: Lowest and highest position register that its joint needs.
     """
-    low, high = seen[dxl.CW_ANGLE_LIMIT], seen[dxl.CCW_ANGLE_LIMIT]
-    hot, usual = seen[dxl.TEMPERATURE_LIMIT], model.default(dxl.TEMPERATURE_LIMIT)
-    torque, most = seen[dxl.MAX_TORQUE], model.default(dxl.MAX_TORQUE)
-    unguarded = _PROTECTION & ~seen[dxl.SHUTDOWN]
+    table = model.table
+    low, high = seen[table.low_limit], seen[table.high_limit]
+    hot, usual = seen[table.temperature_limit], model.default(table.temperature_limit)
+    torque, most = seen[table.max_torque], model.default(table.max_torque)
+    unguarded = _PROTECTION & ~seen[table.shutdown]
     narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
-    bare = f"does not shut down for {dxl.error_words(unguarded)}"
+    bare = f"does not shut down for {error_words(unguarded)}"
     settings = (
-        (low > reach[0], Setting(dxl.CW_ANGLE_LIMIT, model.default(dxl.CW_ANGLE_LIMIT), narrow)),
-        (high < reach[1], Setting(dxl.CCW_ANGLE_LIMIT, model.default(dxl.CCW_ANGLE_LIMIT), narrow)),
-        (hot != usual, Setting(dxl.TEMPERATURE_LIMIT, usual, f"shuts down at {hot} deg C, {usual} expected")),
-        (torque < most, Setting(dxl.MAX_TORQUE, most, f"gives {torque / 10:.0f} % of its torque at most")),
-        (unguarded, Setting(dxl.SHUTDOWN, seen[dxl.SHUTDOWN] | _PROTECTION, bare)),
+        (low > reach[0], Setting(table.low_limit, model.default(table.low_limit), narrow)),
+        (high < reach[1], Setting(table.high_limit, model.default(table.high_limit), narrow)),
+        (hot != usual, Setting(table.temperature_limit, usual, f"shuts down at {hot} deg C, {usual} expected")),
+        (
+            torque < most,
+            Setting(table.max_torque, most, f"gives {100 * torque * model.units.torque:.0f} % of its torque at most"),
+        ),
+        (unguarded, Setting(table.shutdown, seen[table.shutdown] | _PROTECTION, bare)),
     )
     return [setting for wrong, setting in settings if wrong]
 
@@ -351,7 +366,7 @@ def health_problem(seen: ServoScan, low: float) -> str:
         seen: The servo.
         low: [V] lowest voltage, from the profile's battery.
     """
-    limit, error = seen[dxl.TEMPERATURE_LIMIT], error_of(seen)
+    limit, error = seen[seen.expected.table.temperature_limit], error_of(seen)
     return "; ".join(
         words
         for words, wrong in (
@@ -365,9 +380,10 @@ def health_problem(seen: ServoScan, low: float) -> str:
 
 def error_of(seen: ServoScan) -> str:
     """Return shutdown reason, errors and reduced torque limit, or an empty string."""
-    weak = seen[dxl.TORQUE_LIMIT] < seen[dxl.MAX_TORQUE]
-    left = f"a torque limit of {seen[dxl.TORQUE_LIMIT] / 10:.0f} %" if weak else ""
-    return ", ".join(filter(None, (dxl.error_words(seen.error), left)))
+    table, share = seen.expected.table, 100 * seen.expected.units.torque
+    weak = seen[table.torque_limit] < seen[table.max_torque]
+    left = f"a torque limit of {share * seen[table.torque_limit]:.0f} %" if weak else ""
+    return ", ".join(filter(None, (error_words(seen.error), left)))
 
 
 def prepare(bus: Bus, seen: ServoScan, lock: bool) -> str:
@@ -377,8 +393,9 @@ def prepare(bus: Bus, seen: ServoScan, lock: bool) -> str:
 
     EEPROM is written only where it differs.
     """
-    wanted = ((dxl.STATUS_RETURN_LEVEL, ANSWER_ALL), (dxl.RETURN_DELAY, 0), *(((dxl.LOCK, 1),) if lock else ()))
-    for register, value in wanted:
+    model = bus.model
+    locked = ((model.table.lock, 1),) if lock and model.table.lock else ()
+    for register, value in (*model.joint_settings.items(), *locked):
         if seen[register] != value and not ensure(bus, seen.servo_id, register, value):
             return f"does not accept {register.name} {value}; its EEPROM may be locked until its power is cycled"
     return ""
@@ -389,7 +406,8 @@ def wake(bus: Bus, servo_id: int) -> ServoScan | None:
 
     The write itself is not acknowledged.
     """
-    bus.write_unacknowledged(servo_id, dxl.STATUS_RETURN_LEVEL, ANSWER_ALL)
+    level = bus.model.table.status_return_level
+    bus.write_unacknowledged(servo_id, level, bus.model.joint_settings[level])
     return scan_servo(bus, servo_id, listen=False)
 
 

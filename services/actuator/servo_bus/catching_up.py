@@ -5,14 +5,13 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
 from sextant.shared.geometry import Array
-from sextant.shared.servo import dynamixel as dxl
 
 _CAUGHT_UP_RAD = np.radians(5.0)  # [rad] between a joint and its goal, below which it has caught up
 # Under load a joint stays some degrees off its goal, so it has also caught up if it is slow some time after its first reading.
 _STILL_RAD_S = np.radians(10.0)  # [rad/s]
 _MIN_MOTION_NS = 100_000_000  # [ns]
 _SILENT_TIMEOUT_NS = 1_000_000_000  # [ns] for silent servos to answer after the first one has answered again
-_UNLIMITED = np.zeros(18, dtype=np.int64)
+_UNLIMITED = np.zeros(18)
 
 
 class CatchingUp:
@@ -33,11 +32,11 @@ class CatchingUp:
         return np.asarray(self.behind & (self._back_ns > 0))
 
     @property
-    def speed_ticks(self) -> NDArray[np.int64]:
-        """(18,) moving speed registers, 0 without a limit."""
+    def speed_limits(self) -> Array:
+        """(18,) [rad/s] maximum speeds on the way to the goals, 0 without a limit."""
         if not any(self.behind.tolist()):
             return _UNLIMITED
-        return np.where(self.behind, [dxl.moving_speed_from(speed) for speed in self._max_speed.tolist()], 0)
+        return np.where(self.behind, self._max_speed, 0.0)
 
     def leave_behind(self, servos: NDArray[np.bool_], max_speed: float) -> None:
         """Limit the speed of servos (18,) that miss goals to `max_speed` [rad/s]."""

@@ -1,4 +1,4 @@
-"""Servo bus driver: Dynamixel Protocol 1.0 over a port like pyserial's.
+"""Servo bus driver: servos with a control table, over a port like pyserial's.
 
 It uses no thread and no sleep; time comes from a clock argument. In the loop only `BusDisconnectedError` is raised. Lost,
 broken, refused and implausible packets are counted by reason, and the last reading of their servo ages.
@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, PingResponses, Problem
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
-from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State
+from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State, state_decoder
 from sextant.services.actuator.servo_bus.serial_port import (
     BAUD_RATE,
     LOST,
-    REFUSAL,
     REPLY_TIMEOUT_NS,
     BusDisconnectedError,
     Lost,
@@ -28,8 +27,8 @@ from sextant.services.actuator.servo_bus.serial_port import (
     gone,
     open_port,
 )
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import PRESENT_STATE, Packet, Register, ServoError, ServoModel
+from sextant.shared.servo.models import AX_12A
+from sextant.shared.servo.servo_model import REFUSAL, Packet, Register, ServoError, ServoModel, Units
 
 __all__ = [
     "BAUD_RATE",
@@ -58,7 +57,6 @@ _NOISY_NS = 1_000_000_000  # [ns] after a lost request for which the bus counts 
 _MAX_PACKET_BYTES = 256  # [bytes] largest length that a packet header can announce
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _NS_PER_S = 1e9
-_ERRORS = tuple(map(ServoError, range(256)))  # by the byte of an answer
 
 
 class BusSetupError(ConnectionError):
@@ -73,8 +71,8 @@ class ServoReading:
     servo_id: int
     stamp_ns: int  # [ns] when it was requested; the servo sampled after that, within the answer time
     told_ns: int  # [ns] when goals were last sent before that, or accepted by a microcontroller; long ago if never
-    position_ticks: int  # 0..1023
-    position: float  # [rad] servo angle, 0 at tick 512, counterclockwise positive
+    position_ticks: int  # position register
+    position: float  # [rad] servo angle, counterclockwise positive
     speed: float  # [rad/s] counterclockwise positive
     load: float  # fraction of the stall torque, counterclockwise positive
     voltage: float  # [V]
@@ -82,25 +80,19 @@ class ServoReading:
     error: ServoError
 
 
-def reading(
-    index: int, servo_id: int, stamp_ns: int, told_ns: int, registers: tuple[int, ...], error: ServoError
-) -> ServoReading:
-    """Return the reading from a servo's five registers.
-
-    They are position, speed, load, voltage and temperature.
-    """
-    position, speed, load, voltage, temperature = registers
+def reading(index: int, servo_id: int, told_ns: int, state: State, error: ServoError, units: Units) -> ServoReading:
+    """Return the reading from a servo's state."""
     return ServoReading(
         index=index,
         servo_id=servo_id,
-        stamp_ns=stamp_ns,
+        stamp_ns=state.stamp_ns,
         told_ns=told_ns,
-        position_ticks=position,
-        position=dxl.angle_from_ticks(position),
-        speed=dxl.speed_from_register(speed),
-        load=dxl.load_from_register(load),
-        voltage=voltage * dxl.VOLT_UNIT,
-        temperature=float(temperature),
+        position_ticks=state.position,
+        position=(state.position - units.centre) * units.tick_rad,
+        speed=state.speed * units.speed_rad_s,
+        load=state.load * units.load,
+        voltage=state.voltage * units.volt,
+        temperature=float(state.temperature),
         error=error,
     )
 
@@ -129,7 +121,7 @@ class ServoBus:
         servo_ids: Sequence[int],
         clock: Callable[[], int],
         *,
-        model: ServoModel = dxl.AX_12A,
+        model: ServoModel = AX_12A,
         names: Mapping[int, str] | None = None,
         echo: bool = False,
         reply_timeout_ns: int = REPLY_TIMEOUT_NS,
@@ -139,9 +131,9 @@ class ServoBus:
 
         Args:
             port: Open port whose read timeout is about `reply_timeout_ns`.
-            servo_ids: Ids 0 to 253, all different.
+            servo_ids: Ids that the protocol allows, all different.
             clock: Monotonic time [ns]; of an emulated port, the port's own.
-            model: The servo type that `setup` expects.
+            model: The type of the servos, which `setup` verifies.
             names: Leg and joint of each id, for messages.
             echo: The adapter returns every byte sent; exactly those are dropped.
             reply_timeout_ns: [ns] timeout of an answer.
@@ -150,8 +142,8 @@ class ServoBus:
         Raises:
             ValueError: An id out of range or given twice.
         """
-        if len(set(servo_ids)) != len(servo_ids) or not all(0 <= i <= dxl.MAX_ID for i in servo_ids):
-            raise ValueError(f"servo ids 0 to {dxl.MAX_ID}, each once, expected, found {list(servo_ids)}")
+        if len(set(servo_ids)) != len(servo_ids) or not all(0 <= i <= model.protocol.MAX_ID for i in servo_ids):
+            raise ValueError(f"servo ids 0 to {model.protocol.MAX_ID}, each once, expected, found {list(servo_ids)}")
         n = len(servo_ids)
         self.servo_ids = tuple(servo_ids)
         self.names = {i: (names or {}).get(i, "") for i in servo_ids}
@@ -160,13 +152,14 @@ class ServoBus:
         self.between: Callable[[], None] = _nothing  # called before each request outside the loop
         self._port = port
         self._clock = clock
-        self._model, self._lock = model, lock
-        self._line = SerialLine(port, clock, echo=echo, reply_timeout_ns=reply_timeout_ns)
+        self.model, self._lock = model, lock
+        self._protocol, self._table, self._units = model.protocol, model.table, model.units
+        self._line = SerialLine(port, clock, model, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
         self._loss = LossRate(_LOSS_WINDOW_NS)
-        self._validator = ReadingValidator(n, model.no_load_speed)
+        self._validator, self._decode = ReadingValidator(n, model), state_decoder(model)
 
-        self._requests = [dxl.read(i, dxl.PRESENT_POSITION.address, PRESENT_STATE.size) for i in servo_ids]
+        self._requests = [self._protocol.read(i, self._table.state.address, self._table.state.size) for i in servo_ids]
         self._next = 0
         self._again: list[int] = []  # indices to be read first in the next call
         self._typical_ns = _TYPICAL_NS
@@ -176,10 +169,13 @@ class ServoBus:
         self._backoff = [1] * n  # read every this many turns
         self._skips = [0] * n  # turns left to skip
 
-        self._goal_rows = np.zeros((n, 5), dtype=np.uint8)  # id, goal position, moving speed: rows of a sync write
+        goals = self._table.goals
+        self._goal_rows = np.zeros((n, 1 + goals.size), dtype=np.uint8)  # id, goal position and speed: rows of a sync write
         self._goal_rows[:, 0] = servo_ids
-        size = dxl.GOAL_POSITION.size + dxl.MOVING_SPEED.size
-        self._goal_head = bytes((dxl.GOAL_POSITION.address, size))
+        self._goal_columns, self._speed_columns = (
+            _view(self._goal_rows, 1 + register.address - goals.address, register.size)
+            for register in (self._table.goal_position, self._table.goal_speed)
+        )
 
     def __len__(self) -> int:
         """Number of servos."""
@@ -219,12 +215,13 @@ class ServoBus:
 
     def ping(self, servo_id: int) -> ServoError | None:
         """Return the error bits of a servo, None when it does not answer."""
-        answer = self._ask(dxl.ping(servo_id), servo_id, 0)
-        return None if answer is None else ServoError(answer.code)
+        answer = self._ask(self._protocol.ping(servo_id), servo_id, self._protocol.PING_SIZE)
+        return None if answer is None else self._protocol.ERRORS[answer.code]
 
-    def scan(self, servo_ids: Iterable[int] = range(dxl.MAX_ID + 1)) -> list[int]:
-        """Return the ids that answer a ping; each absent one costs a timeout."""
-        return [servo_id for servo_id in servo_ids if self.ping(servo_id) is not None]
+    def scan(self, servo_ids: Iterable[int] | None = None) -> list[int]:
+        """Return the ids that answer a ping, of all by default; each absent one costs a timeout."""
+        asked = range(self._protocol.MAX_ID + 1) if servo_ids is None else servo_ids
+        return [servo_id for servo_id in asked if self.ping(servo_id) is not None]
 
     def read(self, servo_id: int, register: Register) -> int | None:
         """Return the value of a register, None when the servo does not answer."""
@@ -233,7 +230,7 @@ class ServoBus:
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
         """Return bytes of a control table, None when the servo does not answer or refuses."""
-        answer = self._ask(dxl.read(servo_id, address, size), servo_id, size)
+        answer = self._ask(self._protocol.read(servo_id, address, size), servo_id, size)
         return None if answer is None else answer.parameters
 
     def write(self, servo_id: int, register: Register, value: int) -> bool:
@@ -242,12 +239,12 @@ class ServoBus:
         Raises:
             ValueError: The value is outside the register's range.
         """
-        answer = self._ask(dxl.write(servo_id, register.address, register.encode(value)), servo_id, 0)
+        answer = self._ask(self._protocol.write(servo_id, register.address, register.encode(value)), servo_id, 0)
         return answer is not None
 
     def write_unacknowledged(self, servo_id: int, register: Register, value: int) -> None:
         """Write a register without an expected answer, or with one of another id."""
-        request = dxl.write(servo_id, register.address, register.encode(value))
+        request = self._protocol.write(servo_id, register.address, register.encode(value))
         self._line.attempt(request, servo_id, 0, self._clock() + self._line.reply_timeout_ns)
 
     def ping_responses(self, servo_id: int) -> PingResponses:
@@ -255,7 +252,7 @@ class ServoBus:
 
         Two servos with one id send more than one answer.
         """
-        packets, garbage = self._line.overhear(dxl.ping(servo_id))
+        packets, garbage = self._line.overhear(self._protocol.ping(servo_id))
         return PingResponses(sum(packet.servo_id == servo_id for packet in packets), garbage)
 
     def unrequested_bytes(self) -> bytes:
@@ -282,7 +279,7 @@ class ServoBus:
                 f"none of the {len(self)} servos answers; check their power, the adapter, its echo setting and the baud rate, "
                 f"then try `sextant servos scan`"
             )
-        wrong = bus_scan.problems(self.names, seen, self._model)
+        wrong = bus_scan.problems(self.names, seen, self.model)
         for i in self.names.keys() - wrong.keys():
             if words := bus_scan.prepare(self, seen[i], self._lock):
                 wrong[i] = Problem(f"{bus_scan.named(i, self.names)} {words}", "")
@@ -301,20 +298,19 @@ class ServoBus:
         While requests get lost, it is sent twice, because it is not acknowledged and is the longest packet of all.
 
         Args:
-            goal_ticks: (n,) goal positions, 0 to 1023.
-            speed_ticks: (n,) or one moving speed, 0 to 1023 of 0.111 rpm, 0 for uncontrolled.
+            goal_ticks: (n,) goal position registers.
+            speed_ticks: (n,) or one goal speed register, 0 for no limit.
 
         Raises:
             ValueError: A value out of range, not a whole number, or of another shape.
             BusDisconnectedError: The port is gone.
         """
-        goals = whole(goal_ticks, dxl.GOAL_POSITION, len(self))
-        speeds = whole(speed_ticks, dxl.MOVING_SPEED, len(self))
-        rows = self._goal_rows
-        rows[:, 1], rows[:, 2] = goals & 0xFF, goals >> 8
-        rows[:, 3], rows[:, 4] = speeds & 0xFF, speeds >> 8
+        goals = whole(goal_ticks, self._table.goal_position, len(self))
+        speeds = whole(speed_ticks, self._table.goal_speed, len(self))
+        self._goal_columns[:], self._speed_columns[:] = goals, speeds
         self._validator.sent(goals.tolist() if goals.ndim else [int(goals)] * len(self))
-        packet = dxl.encode(dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, self._goal_head + rows.tobytes())
+        block = self._table.goals
+        packet = self._protocol.sync_write_rows(block.address, block.size, self._goal_rows.tobytes())
         self._told_ns = self._clock()
         self._line.send(packet)
         if self._loss.within(self._told_ns, _NOISY_NS):
@@ -329,7 +325,7 @@ class ServoBus:
         """
         wanted = np.broadcast_to(whole(values, register, len(self)), (len(self),))
         rows = [(i, register.encode(int(value))) for i, value in zip(self.servo_ids, wanted, strict=True)]
-        self._line.send(dxl.sync_write(register.address, register.size, rows))
+        self._line.send(self._protocol.sync_write(register.address, register.size, rows))
 
     def set_torque(self, enabled: bool) -> None:
         """Turn the torque of all servos on or off.
@@ -339,19 +335,20 @@ class ServoBus:
         precede it: a servo that has read a wrong length consumes them as the rest of its packet, and then listens again.
         """
         if enabled:
-            self.sync_write(dxl.TORQUE_ENABLE, 1)
+            self.sync_write(self._table.torque_enable, 1)
             return
         if self._loss.within(self._clock(), _NOISY_NS):
             self._line.send(bytes(_MAX_PACKET_BYTES))
+        enable = self._table.torque_enable
         for _ in range(2):
-            self._line.send(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, dxl.TORQUE_ENABLE.encode(0)))
+            self._line.send(self._protocol.write(self._protocol.BROADCAST_ID, enable.address, enable.encode(0)))
 
     def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
-        """Set Torque Limit, (n,) or one for all, 0 to 1023 of the stall torque.
+        """Set the torque limit register, (n,) or one for all.
 
         This ends the shutdown of an overloaded or hot servo, so call it only on an operator's order.
         """
-        self.sync_write(dxl.TORQUE_LIMIT, limit_ticks)
+        self.sync_write(self._table.torque_limit, limit_ticks)
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Read the next servos of the rotation, as many as typically fit a time budget.
@@ -422,7 +419,7 @@ class ServoBus:
             if start > end_ns:
                 break
             self._asked_ns[index] = start
-            answer = self._line.exchange(self._requests[index], self.servo_ids[index], PRESENT_STATE.size, end_ns, start)
+            answer = self._line.exchange(self._requests[index], self.servo_ids[index], self._table.state.size, end_ns, start)
             done = self._clock()
             heard = answer is not None and not self._refuses(answer)
             found = self._believed(index, start, answer, done) if heard and answer is not None else None
@@ -458,8 +455,8 @@ class ServoBus:
 
     def _believed(self, index: int, stamp_ns: int, answer: Packet, now_ns: int) -> ServoReading | None:
         """Return the reading in an answer, or None if it is not plausible yet."""
-        registers = position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
-        state = State(stamp_ns, position, speed, load, voltage, temperature, answer.code)
+        error = self._protocol.ERRORS[answer.code]
+        state = self._decode(stamp_ns, self._table.state.unpack(answer.parameters), int(error))
         refused = self._validator.refusals
         believed = self._validator.accepts(index, state, self._is_noisy(index, now_ns))
         for _ in range(self._validator.refusals - refused):  # this reading, or the earlier one that it contradicts
@@ -467,8 +464,8 @@ class ServoBus:
         if not believed:
             return None
         self._loss.note(now_ns, False)
-        self.errors[index] = answer.code
-        return reading(index, answer.servo_id, stamp_ns, self._told_ns, registers, _ERRORS[answer.code])
+        self.errors[index] = state.error
+        return reading(index, answer.servo_id, self._told_ns, state, error, self._units)
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer with `size` parameters, or None.
@@ -481,14 +478,20 @@ class ServoBus:
             return None
         index = self._index.get(servo_id)
         if index is not None:
-            self.errors[index] = answer.code
+            self.errors[index] = self._protocol.ERRORS[answer.code]
         return None if self._refuses(answer) else answer
 
     def _refuses(self, answer: Packet) -> bool:
-        if answer.parameters or not answer.code & REFUSAL:
+        if answer.parameters or not self._protocol.ERRORS[answer.code] & REFUSAL:
             return False
         self._line.lost[Lost.REFUSED] += 1
         return True
+
+
+def _view(rows: NDArray[np.uint8], offset: int, size: int) -> NDArray[np.unsignedinteger]:
+    """Return a column (n,) of little-endian numbers of `size` bytes in rows of bytes."""
+    n, width = rows.shape
+    return np.ndarray((n,), dtype=f"<u{size}", buffer=rows.data, offset=offset, strides=(width,))
 
 
 def _nothing() -> None:

@@ -15,22 +15,11 @@ from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Serv
 from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import ServoError
+from sextant.shared.servo.servo_model import ServoError, ServoModel, signed
 
 _STARTUP_TIMEOUT_NS = 3_000_000_000  # [ns] for the first answers: a simulation starts late, and a USB hub wakes up slowly
 _ADOPT_WITHIN_RAD = np.radians(10.0)  # [rad] between a joint and the goal in its servo, up to which that goal is kept
 _REOPEN_PERIOD_NS = 200_000_000  # [ns] between two attempts to reopen a lost bus
-# Registers with the state of a servo, and the addresses of the block that contains them.
-_STATE_REGISTERS = (
-    dxl.MAX_TORQUE,
-    dxl.TORQUE_ENABLE,
-    dxl.GOAL_POSITION,
-    dxl.TORQUE_LIMIT,
-    dxl.PRESENT_POSITION,
-    dxl.PRESENT_LOAD,
-)
-_STATE_BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
 _MAX_REQUESTS = 3  # maximum number of requests for the state of one servo on a reopened bus
 _NO_READING_S = 0.05  # [s] without a reading of any servo, from which goals may not arrive
 _BUS_LOST_S = 0.1  # [s] without one, from which the state of the robot is unknown
@@ -63,6 +52,7 @@ class Joints:
             ConnectionError: A servo has stopped answering.
         """
         self._profile, self._settings, self._clock = profile, settings, clock
+        self._table, self._units = profile.servo_model.table, profile.servo_model.units
         self._opener = opener or PortFinder(settings).open
         self._signs_and_offsets = list(
             zip(profile.servo_signs.ravel().tolist(), profile.horn_offsets.ravel().tolist(), strict=True)
@@ -83,7 +73,7 @@ class Joints:
         self._torque_flags = b""  # torque and errors of the servos for which the next were computed
         self._torque_disabled = np.zeros((6, 3), dtype=np.bool_), np.zeros(6, dtype=np.bool_)
         self.strength = np.ones(18)  # torque limit of each servo, as a share of its maximum
-        self._max_torque = np.full(18, dxl.TORQUE_LIMIT.max)  # Max Torque register of each servo
+        self._max_torque = np.full(18, self._table.torque_limit.max)  # Max Torque register of each servo
         self._adopt_state([self._wait_for_state(i) for i in self._bus.servo_ids])
         self._bus.between = _do_nothing
         self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
@@ -188,7 +178,7 @@ class Joints:
         silent = self._bus.missed >= SILENT
         if np.count_nonzero(silent):
             self._catching_up.leave_behind(silent, LOWERED)
-        ticks, speeds = _ticks(self._profile.servo_angles(q_goal).ravel()), self._catching_up.speed_ticks
+        ticks, speeds = self._goal_ticks(q_goal), speed_ticks(self._catching_up.speed_limits, self._profile.servo_model)
         self._call_bus(lambda: self._bus.sync_write_goals(ticks, speeds))
 
     def mark_stale(self) -> None:
@@ -237,7 +227,7 @@ class Joints:
 
     def read_loads(self) -> Array:
         """Read motor torques (6, 3) [N m] in joint direction; zero without an answer."""
-        return self._torques([self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids])
+        return self._torques([self._bus.read(i, self._table.present_load) or 0 for i in self._bus.servo_ids])
 
     # ------------------------------------------------------------------------------------------------- the bus itself
 
@@ -293,7 +283,7 @@ class Joints:
     def _check_torque_loss(self, readings: list[ServoReading]) -> None:
         """Read Torque Enable of a few servos, and keep which ones have lost torque."""
         for index in self._torque_loss.due([reading.index for reading in readings], self.torque):
-            enabled = self._bus.read(self._bus.servo_ids[index], dxl.TORQUE_ENABLE)
+            enabled = self._bus.read(self._bus.servo_ids[index], self._table.torque_enable)
             if enabled is not None:
                 self.torque[index] = bool(enabled)
                 self._torque_loss.confirm(index)
@@ -301,9 +291,9 @@ class Joints:
 
     def _restore_torque_limit(self, index: int) -> None:
         """Give a servo its full torque limit, if it acknowledges its goal."""
-        servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
-        acknowledged = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
-        if acknowledged and self._bus.write(servo_id, dxl.TORQUE_LIMIT, int(self._max_torque[index])):
+        servo_id, goal = self._bus.servo_ids[index], self._goal_ticks(self.goals)[index]
+        acknowledged = self._bus.write(servo_id, self._table.goal_position, int(goal))
+        if acknowledged and self._bus.write(servo_id, self._table.torque_limit, int(self._max_torque[index])):
             self.strength[index] = 1.0
 
     def _call_bus(self, call: Callable[[], object]) -> None:
@@ -344,7 +334,7 @@ class Joints:
 
     def _adopt_state(self, tables: list[bytes]) -> None:
         """Adopt the state of each servo; a goal far from its joint is replaced by the joint angle."""
-        found = [[_value(table, register) for register in _STATE_REGISTERS] for table in tables]
+        found = [self._table.condition.unpack(table) for table in tables]
         max_torque, enabled, goals, limits, ticks, loads = np.array(found).T
         self.torque = enabled.astype(np.bool_) & (not self._off_ordered)  # a servo that has missed torque off receives it again
         self._max_torque = max_torque
@@ -355,12 +345,13 @@ class Joints:
 
     def _torques(self, loads: Sequence[int]) -> Array:
         """Return motor torques (6, 3) [N m] from load registers (18,)."""
-        shares = np.array([dxl.load_from_register(value) for value in loads]).reshape(6, 3)
+        load, sign = self._table.present_load, self._units.load_sign
+        shares = np.array([signed(value, sign, load.size) * self._units.load for value in loads]).reshape(6, 3)
         return np.asarray(self._profile.servo_signs * shares * self._profile.servo.stall_torque)
 
     def _read_state(self, servo_id: int) -> bytes | None:
         """Read the state block of a servo, None when it does not answer."""
-        return self._bus.read_bytes(servo_id, _STATE_BLOCK.start, len(_STATE_BLOCK))
+        return self._bus.read_bytes(servo_id, self._table.condition.address, self._table.condition.size)
 
     def _wait_for_state(self, servo_id: int) -> bytes:
         """Read the state block of a servo, and repeat the request until it has answered."""
@@ -378,18 +369,20 @@ class Joints:
         raise ConnectionError(f"the port is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
 
     def _angles(self, ticks: Iterable[int]) -> Array:
-        return self._profile.joint_angles(np.array([dxl.angle_from_ticks(t) for t in ticks]).reshape(6, 3))
+        return self._profile.joint_angles(np.array([self._units.angle(t) for t in ticks]).reshape(6, 3))
+
+    def _goal_ticks(self, q: Array) -> NDArray[np.int64]:
+        """Return goal registers (18,) of joint angles (6, 3) [rad]."""
+        ticks = np.rint(self._units.centre + self._profile.servo_angles(q).ravel() / self._units.tick_rad)
+        return np.minimum(np.maximum(ticks, 0.0), self._units.max_position).astype(np.int64)
 
 
-def _value(table: bytes, register: dxl.Register) -> int:
-    start = register.address - _STATE_BLOCK.start
-    return int.from_bytes(table[start : start + register.size], "little")
-
-
-def _ticks(servo: Array) -> NDArray[np.int64]:
-    """Return goal registers (18,) of servo angles (18,) [rad]."""
-    ticks = np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD)
-    return np.minimum(np.maximum(ticks, 0.0), dxl.TICK_MAX).astype(np.int64)
+def speed_ticks(limits: Array, model: ServoModel) -> NDArray[np.int64]:
+    """Return goal speed registers (n,) of speed limits (n,) [rad/s]; 0 means no limit in both."""
+    if not limits.any():
+        return np.zeros(len(limits), dtype=np.int64)
+    ticks = np.clip(np.rint(limits / model.units.speed_rad_s), 1, model.table.goal_speed.max)
+    return np.where(limits > 0.0, ticks, 0).astype(np.int64)
 
 
 def _do_nothing() -> None:

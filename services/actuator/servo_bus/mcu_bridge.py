@@ -21,10 +21,13 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import (
     reading,
     whole,
 )
+from sextant.services.actuator.servo_bus.reading_validation import state_decoder
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import Answer, Message, Mode, Receiver, RemoteClock, Result, State, Welcome
-from sextant.shared.servo.dynamixel import PacketParser, Register, ServoError, ServoModel
+from sextant.shared.servo.dynamixel import PacketParser
+from sextant.shared.servo.models import AX_12A
+from sextant.shared.servo.servo_model import Register, ServoError, ServoModel
 
 READ_NS = 1_000_000  # [ns] longest wait of one read of the port
 _LIFETIME_MS = 200  # [ms] validity of goals
@@ -49,7 +52,7 @@ class Bridge:
         servo_ids: Sequence[int],
         clock: Callable[[], int],
         *,
-        model: ServoModel = dxl.AX_12A,
+        model: ServoModel = AX_12A,
         names: Mapping[int, str] | None = None,
         lock: bool = False,
     ) -> None:
@@ -75,6 +78,7 @@ class Bridge:
         self._port = port
         self._clock = clock
         self._receiver = Receiver(bridge_protocol.TO_HOST)
+        self.model, self._decode = model, state_decoder(model)
         questions = _Questions(self)
         self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self.servo_ids = self._registers.servo_ids
@@ -401,11 +405,10 @@ class Bridge:
         told_us = newest_us if measured_us >= newest_us else before_us
         told_ns = self._read_ns[index] - (measured_us - told_us) * _NS_PER_US
         columns = (state.position, state.speed, state.load, state.voltage, state.temperature)
-        measured = tuple(column[index] for column in columns)
+        error = ServoError(state.error[index])
+        decoded = self._decode(self._read_ns[index], tuple(column[index] for column in columns), int(error))
         self._fresh.pop(index, None)  # keep the order of reading
-        self._fresh[index] = reading(
-            index, self.servo_ids[index], self._read_ns[index], told_ns, measured, ServoError(state.error[index])
-        )
+        self._fresh[index] = reading(index, self.servo_ids[index], told_ns, decoded, error, self.model.units)
 
 
 class _Questions:

@@ -4,25 +4,26 @@ A reading that leaps is doubted, and accepted only if the next one confirms it. 
 but one were within the range of `_leaps`, and 99 % within 4 ticks of the goals of the last three cycles.
 """
 
+import math
 from collections import Counter, deque
+from collections.abc import Callable
 from enum import StrEnum
 from typing import NamedTuple
 
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import ServoModel, number_decoder
 
 _NS_PER_S = 1e9
 _MAX_SPEED_RATIO = 1.3  # [1] maximum speed of a servo whose leg is pushed, as a multiple of its no-load speed
-_LEAP_TICKS = 10  # [ticks] outside the expected range, beyond which a position is doubted; 3 deg
-_SAME_POSITION_TICKS = 5  # [ticks] maximum difference of two readings of one position ...
-_MAX_MOTION_TICKS = 20  # [ticks] ... plus the maximum motion of the joint between them
+_LEAP_RAD = math.radians(2.93)  # [rad] outside the expected range, beyond which a position is doubted
+_SAME_POSITION_RAD = math.radians(1.47)  # [rad] maximum difference of two readings of one position ...
+_MAX_MOTION_RAD = math.radians(5.87)  # [rad] ... plus the maximum motion of the joint between them
 _VOLTAGE_LEAP_V = 0.8  # [V] between two readings of the common supply, beyond which one is doubted
 _TEMPERATURE_LEAP_K = 2.0  # [K] between two readings, beyond which one is doubted ...
 _WARMING_RATE_K_S = 2.0  # [K/s] ... plus this in the time between them: a stalled motor warms by 1 K/s
 _UNKNOWN_BITS = 0x80  # undefined bit of the error byte
-_MAGNITUDE = 0x7FF  # of the speed and load registers: ten bits and the direction
 # Leaps of load and of possible speeds are normal, and are doubted only while answers get lost or broken.
-_LOAD_LEAP_TICKS, _SPEED_LEAP_TICKS = 400, round(2.5 / dxl.SPEED_RAD_S)  # [ticks] 0.4 of the stall torque, 2.5 rad/s
-_MIN_MOTION_TICKS = 3  # [ticks] of motion by the measured speed, beyond which an unchanged reading is doubted
+_LOAD_LEAP, _SPEED_LEAP_RAD_S = 0.4, 2.5  # [1] of the stall torque, [rad/s]
+_MIN_MOTION_RAD = math.radians(0.88)  # [rad] of motion by the measured speed, beyond which an unchanged reading is doubted
 _RECENT_GOALS = 3  # [cycles] within which a servo may still be moving to a goal
 
 
@@ -45,23 +46,41 @@ class State(NamedTuple):
 
     stamp_ns: int  # [ns] when it was requested
     position: int
-    speed: int  # with its direction bit
-    load: int  # with its direction bit
+    speed: int  # counterclockwise positive
+    load: int  # counterclockwise positive
     voltage: int
     temperature: int
     error: int
 
 
+def state_decoder(model: ServoModel) -> Callable[[int, tuple[int, ...], int], State]:
+    """Return the function that makes a state of an answer to a servo of this model.
+
+    Its arguments are the time [ns] of the request, the registers of `ControlTable.state` and the error bits.
+    """
+    table, units = model.table, model.units
+    speed_of = number_decoder(units.speed_sign, table.present_speed.size)
+    load_of = number_decoder(units.load_sign, table.present_load.size)
+    position_of = number_decoder(units.position_sign, table.present_position.size)
+    signed_position = units.position_sign is not None
+    # Smaller values need no decoding; this loop reads 18 servos in every cycle.
+    small_speed, small_load = 128, 128
+
+    def decode(stamp_ns: int, registers: tuple[int, ...], error: int) -> State:
+        position, speed, load, voltage, temperature = registers
+        position = position_of(position) if signed_position else position
+        speed = speed if speed < small_speed else speed_of(speed)
+        load = load if load < small_load else load_of(load)
+        return State(stamp_ns, position, speed, load, voltage, temperature, error)
+
+    return decode
+
+
 class ReadingValidator:
     """Checks the next readings of n servos against their last accepted ones."""
 
-    def __init__(self, n: int, no_load_speed: float) -> None:
-        """Begin without readings.
-
-        Args:
-            n: Number of servos.
-            no_load_speed: [rad/s] of their model.
-        """
+    def __init__(self, n: int, model: ServoModel) -> None:
+        """Begin without readings of n servos of a model."""
         self.refused: Counter[str] = Counter()  # readings that were rejected, by `Implausibility`
         self.refusals = 0  # number of them
         self._accepted: list[State | None] = [None] * n  # last accepted reading of each servo
@@ -70,7 +89,19 @@ class ReadingValidator:
         self._goals: deque[list[int]] = deque(maxlen=_RECENT_GOALS)
         self._lowest: list[int] = []  # [ticks] of the recent goals of each servo
         self._highest: list[int] = []
-        self._max_speed = _MAX_SPEED_RATIO * no_load_speed  # [rad/s]
+        units = self._units = model.units
+        self._max_speed = _MAX_SPEED_RATIO * model.no_load_speed  # [rad/s]
+        self._speed_range = units.speed_sign.largest(model.table.present_speed.size)  # [ticks]
+        self._load_range = units.load_sign.largest(model.table.present_load.size)  # [ticks]
+        self._leap = round(_LEAP_RAD / units.tick_rad)  # [ticks]
+        self._same_position, self._max_motion = (
+            round(_SAME_POSITION_RAD / units.tick_rad),
+            round(_MAX_MOTION_RAD / units.tick_rad),
+        )
+        self._speed_leap, self._load_leap = (
+            round(_SPEED_LEAP_RAD_S / units.speed_rad_s),
+            round(_LOAD_LEAP / units.load),
+        )  # [ticks]
         self._goal_offset = [0] * n  # [ticks] distance of each last accepted position from the range of its recent goals
 
     def sent(self, goal_ticks: list[int]) -> None:
@@ -94,7 +125,7 @@ class ReadingValidator:
             self._refuse(doubt)
             return False
         doubted = self._doubted[index]
-        if doubt is not None and doubted is not None and _agree(doubted[0], state, self._max_speed):
+        if doubt is not None and doubted is not None and self._agree(doubted[0], state):
             doubt, doubted = None, None
         if doubted is not None:
             self._refuse(doubted[1])
@@ -118,27 +149,28 @@ class ReadingValidator:
 
     def _find_implausibility(self, index: int, state: State, noisy: bool) -> Implausibility | None:
         """Return why a reading is doubtful, or None."""
-        if state.position > dxl.TICK_MAX or max(state.speed, state.load) > _MAGNITUDE or state.error & _UNKNOWN_BITS:
+        units = self._units
+        too_large = abs(state.speed) > self._speed_range or abs(state.load) > self._load_range
+        if too_large or not 0 <= state.position <= units.max_position or state.error & _UNKNOWN_BITS:
             return Implausibility.RANGE
         before = self._accepted[index]
         if before is None:
             return Implausibility.FIRST if noisy else None
         elapsed = (state.stamp_ns - before.stamp_ns) / _NS_PER_S
-        speed, load = dxl.signed_magnitude(state.speed), dxl.signed_magnitude(state.load)
-        speed_leap, load_leap = abs(speed - dxl.signed_magnitude(before.speed)), abs(load - dxl.signed_magnitude(before.load))
+        speed, speed_leap, load_leap = abs(state.speed), abs(state.speed - before.speed), abs(state.load - before.load)
         if self._leaps(index, before.position, state.position, elapsed):
             return Implausibility.POSITION
-        if speed_leap > _SPEED_LEAP_TICKS and (noisy or abs(speed) * dxl.SPEED_RAD_S > self._max_speed):
+        if speed_leap > self._speed_leap and (noisy or speed * units.speed_rad_s > self._max_speed):
             return Implausibility.SPEED
-        if noisy and load_leap > _LOAD_LEAP_TICKS:
+        if noisy and load_leap > self._load_leap:
             return Implausibility.LOAD
-        if self._voltage is not None and abs(state.voltage - self._voltage) * dxl.VOLT_UNIT > _VOLTAGE_LEAP_V:
+        if self._voltage is not None and abs(state.voltage - self._voltage) * units.volt > _VOLTAGE_LEAP_V:
             return Implausibility.VOLTAGE
         if abs(state.temperature - before.temperature) > _TEMPERATURE_LEAP_K + _WARMING_RATE_K_S * elapsed:
             return Implausibility.TEMPERATURE
         if state.error != before.error:
             return Implausibility.ERROR
-        alike = state[1:] == before[1:] and abs(speed) * dxl.SPEED_RAD_S * elapsed > _MIN_MOTION_TICKS * dxl.TICK_RAD
+        alike = state[1:] == before[1:] and speed * units.speed_rad_s * elapsed > _MIN_MOTION_RAD
         return Implausibility.AGAIN if alike else None
 
     def _leaps(self, index: int, before: int, position: int, elapsed: float) -> bool:
@@ -148,19 +180,17 @@ class ReadingValidator:
         """
         low, high = self._bound(index, before)
         aside = self._goal_offset[index]
-        near = low + min(aside, 0) - _LEAP_TICKS <= position <= high + max(aside, 0) + _LEAP_TICKS
-        return not near or abs(position - before) > self._max_speed / dxl.TICK_RAD * elapsed + _LEAP_TICKS
+        near = low + min(aside, 0) - self._leap <= position <= high + max(aside, 0) + self._leap
+        return not near or abs(position - before) > self._max_speed / self._units.tick_rad * elapsed + self._leap
 
-
-def _agree(one: State, other: State, fastest: float) -> bool:
-    """Return whether two readings of a servo, shortly after each other, agree.
-
-    Its speed is at most `fastest` [rad/s].
-    """
-    elapsed = abs(other.stamp_ns - one.stamp_ns) / _NS_PER_S
-    near = abs(other.position - one.position) <= _SAME_POSITION_TICKS + min(fastest / dxl.TICK_RAD * elapsed, _MAX_MOTION_TICKS)
-    speeds = abs(dxl.signed_magnitude(one.speed) - dxl.signed_magnitude(other.speed)) <= _SPEED_LEAP_TICKS
-    loads = abs(dxl.signed_magnitude(one.load) - dxl.signed_magnitude(other.load)) <= _LOAD_LEAP_TICKS
-    volts = abs(other.voltage - one.voltage) * dxl.VOLT_UNIT <= _VOLTAGE_LEAP_V
-    warmth = abs(other.temperature - one.temperature) <= _TEMPERATURE_LEAP_K
-    return near and speeds and loads and volts and warmth and one.error == other.error
+    def _agree(self, one: State, other: State) -> bool:
+        """Return whether two readings of a servo, shortly after each other, agree."""
+        units = self._units
+        elapsed = abs(other.stamp_ns - one.stamp_ns) / _NS_PER_S
+        motion = min(self._max_speed / units.tick_rad * elapsed, self._max_motion)
+        near = abs(other.position - one.position) <= self._same_position + motion
+        speeds = abs(one.speed - other.speed) <= self._speed_leap
+        loads = abs(one.load - other.load) <= self._load_leap
+        volts = abs(other.voltage - one.voltage) * units.volt <= _VOLTAGE_LEAP_V
+        warmth = abs(other.temperature - one.temperature) <= _TEMPERATURE_LEAP_K
+        return near and speeds and loads and volts and warmth and one.error == other.error

@@ -23,16 +23,13 @@ from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.errors import SextantError
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold, limit_of
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Packet, PacketParser, ServoError
+from sextant.shared.servo.servo_model import REFUSAL, Packet, ServoModel
 
 log = logging.getLogger(__name__)
 
 REPLY_TIMEOUT_NS = 6_000_000  # [ns] 5 ms, ten times a servo's factory return delay, and one USB transaction
 BAUD_RATE = 1_000_000
-REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
 _WRITE_TIMEOUT_S = 0.5  # [s] without progress of a write after which the port is gone
-_MAX_LENGTH = dxl.TABLE_SIZE + 2  # length byte of the longest answer
 _SETTLES_NS = 100_000_000  # [ns] after which a lost answer cannot arrive any more: six USB transactions at the slowest
 _UNASKED_NS = 1_100_000_000  # [ns] of silence of another device: many send once a second
 _UNASKED_BYTES, _UNASKED_READS = 64, 2000  # limits of bytes and reads from it
@@ -177,21 +174,22 @@ def _advice(number: int | None) -> str:
 class SerialLine:
     """Requests and answers over an open port."""
 
-    def __init__(self, port: Port, clock: Callable[[], int], *, echo: bool, reply_timeout_ns: int) -> None:
-        """Take over an open port; see `ServoBus`."""
+    def __init__(self, port: Port, clock: Callable[[], int], model: ServoModel, *, echo: bool, reply_timeout_ns: int) -> None:
+        """Take over an open port to servos of a model; see `ServoBus`."""
         self.lost: Counter[str] = Counter()  # by `Lost`
         self.reply_timeout_ns = reply_timeout_ns
         self._port = port
         self._clock = clock
         self._echo = echo
-        self._parser = PacketParser(max_length=_MAX_LENGTH)
+        self._protocol, self._max_parameters = model.protocol, model.table.size
+        self._parser = self._protocol.answer_parser(self._max_parameters)
         self._stale = False  # bytes of a lost answer may remain in the port ...
         self._settled_ns = 0  # ... or arrive until then
         self._unheard = bytearray()  # sent, echo not yet read
 
     @property
     def dropped(self) -> Counter[str]:
-        """Bytes and packets that were no answer, by `dynamixel.Dropped`."""
+        """Bytes and packets that were no answer, by reason."""
         return self._parser.dropped
 
     def send(self, data: bytes, now_ns: int | None = None) -> None:
@@ -244,10 +242,10 @@ class SerialLine:
 
         It listens for the reply timeout.
         """
-        parser, packets = PacketParser(max_length=_MAX_LENGTH), []
+        parser, packets = self._protocol.answer_parser(self._max_parameters), []
         self.send(request)
         deadline = self._clock() + self.reply_timeout_ns
-        while (data := self._receive(dxl.OVERHEAD)) is not None:
+        while (data := self._receive(self._protocol.OVERHEAD + self._protocol.PING_SIZE)) is not None:
             packets += parser.feed(data)
             if self._clock() >= deadline:
                 break
@@ -275,7 +273,7 @@ class SerialLine:
 
     def _await(self, servo_id: int, size: int, end_ns: int, now_ns: int) -> Packet | None:
         deadline = min(now_ns + self.reply_timeout_ns, end_ns + 1)
-        wanted = dxl.OVERHEAD + size
+        whole = wanted = self._protocol.OVERHEAD + size
         while True:
             data = self._receive(wanted)
             if data is None:
@@ -285,15 +283,11 @@ class SerialLine:
                 if self._is_answer(packet, servo_id, size):
                     return packet
             # A broken answer has arrived, and no other will follow.
-            broken = (
-                not self._parser.pending
-                and len(data) == dxl.OVERHEAD + size
-                and data.startswith(dxl.HEADER + bytes((servo_id,)))
-            )
+            broken = not self._parser.pending and len(data) == whole and data.startswith(self._protocol.answer_start(servo_id))
             if broken or self._clock() >= deadline:
                 break
             # Noise before the packet has displaced its end from the bytes read.
-            wanted = max(dxl.OVERHEAD + size - self._parser.pending, 1)
+            wanted = max(whole - self._parser.pending, 1)
         for packet in self._parser.flush():  # noise may have announced a longer packet than received
             if self._is_answer(packet, servo_id, size):
                 return packet
@@ -327,7 +321,7 @@ class SerialLine:
         if packet.servo_id != servo_id:
             self.lost[Lost.STRANGER] += 1
             return False
-        if len(packet.parameters) == size or (packet.code & REFUSAL and not packet.parameters):
+        if len(packet.parameters) == size or (self._protocol.ERRORS[packet.code] & REFUSAL and not packet.parameters):
             return True
         self.lost[Lost.SIZE] += 1
         return False

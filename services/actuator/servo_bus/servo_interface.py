@@ -19,8 +19,7 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import (
 )
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Register
+from sextant.shared.servo.servo_model import Register, ServoModel
 
 
 class Servos(Protocol):
@@ -29,6 +28,7 @@ class Servos(Protocol):
     Arrays are in the order of the list.
     """
 
+    model: ServoModel  # type of the servos
     servo_ids: tuple[int, ...]
     errors: NDArray[np.uint8]  # (n,) error bits of the last status packets
     between: Callable[[], None]  # called before each request outside the loop
@@ -133,7 +133,7 @@ class PortFinder:
 
 def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
     """Return the robot's servos on an open port."""
-    model, names, lock = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names, profile.servo.lock_eeprom
+    model, names, lock = profile.servo_model, profile.servo_names, profile.servo.lock_eeprom
     if settings.bridge:
         return Bridge(port, list(names), clock, model=model, names=names, lock=lock)
     return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo, lock=lock)

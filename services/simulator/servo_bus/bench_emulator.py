@@ -17,14 +17,13 @@ from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import Access
 
 HORNS_DEG = 6.0  # [deg] maximum mounting error of the servo horns
 _MAX_BEND_DEG = 150.0  # [deg] maximum angle of a bent joint, the measuring range of a servo
 _STEP_NS = 4_000_000  # [ns] time step of the joints
 _MAX_CATCH_UP_NS = 2_000_000_000  # [ns] maximum time to simulate after a pause, in which all joints come to rest
 _MAX_RATE_ERROR = 0.03  # [1] relative difference of two baud rates up to which bytes are received correctly
-_RAM = dxl.TORQUE_ENABLE.address  # start of the registers that are lost without power
 HELP = "plug [N], unplug [ID], bend LEG COXA FEMUR TIBIA (degrees), list, quit"
 
 
@@ -55,17 +54,19 @@ class BenchEmulator(ServoBusEmulator):
         ids = list(profile.servo_names)
         q = rng.uniform(-1.0, 1.0, len(ids)) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
         self._servos = make_servo_bank(profile.servo, ids, q)
+        model, table = self._servos.model, self._servos.table
         if fresh:
-            self._servos.tables[:, dxl.ID.address] = dxl.ID.default
+            self._servos.column(table.id)[:] = table.id.default
         else:
-            self._servos.tables[:, dxl.RETURN_DELAY.address] = 0
-            self._servos.tables[:, dxl.BAUD_RATE.address] = dxl.BAUD_RATE.default
+            for register, value in model.joint_settings.items():
+                self._servos.column(register)[:] = value
+            self._servos.column(table.baud_rate)[:] = model.rate_code(BusTiming().baud_rate)
         self._plugged = set() if fresh else set(range(len(ids)))
         self._rate = rate
         self._now_ns = -1  # [ns] bus time up to which the joints have moved
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiles the code before the first packet ...
-        self._servos.read(0, dxl.PRESENT_POSITION.address, dxl.PRESENT_POSITION.size)  # ... whose response must be in time
+        self._servos.read(0, table.state.address, table.state.size)  # ... whose response must be in time
         super().__init__(self._servos, BusTiming(), echo=echo)
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
@@ -87,8 +88,9 @@ class BenchEmulator(ServoBusEmulator):
         """Plug servos in, which resets their RAM registers to factory values."""
         for row in rows:
             factory = self._servos.model.factory_table()
-            self._servos.write(row, _RAM, factory[_RAM : dxl.PRESENT_POSITION.address])
-            self._servos.write(row, dxl.LOCK.address, factory[dxl.LOCK.address :])
+            for register in self._registers.registers:
+                if not register.eeprom and register.access is Access.READ_WRITE:
+                    self._servos.write(row, register.address, factory[register.address : register.address + register.size])
             self._plugged.add(row)
         self._find_listeners()
 
@@ -120,7 +122,7 @@ class BenchEmulator(ServoBusEmulator):
         elif words[:1] == ["unplug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
             rows = sorted(self._plugged)
             if len(words) == 2:  # one servo, also if several have the id
-                rows = [row for row in rows if self._value(row, dxl.ID) == int(words[1])][-1:]
+                rows = [row for row in rows if self._value(row, self._registers.id) == int(words[1])][-1:]
             if not rows:
                 raise ValueError(f"the id of a servo that is plugged in expected, found {line.strip()!r}; `list` shows them")
             self.unplug(rows)
@@ -132,15 +134,15 @@ class BenchEmulator(ServoBusEmulator):
             return f"the {bend[1]} leg is bent to {', '.join(bend[2].split())} deg ({', '.join(JOINTS)})"
         elif words != ["list"]:
             raise ValueError(f"one of {HELP} expected, found {line.strip()!r}")
-        ids = sorted(self._value(row, dxl.ID) for row in self._plugged)
+        ids = sorted(self._value(row, self._registers.id) for row in self._plugged)
         plugged = f"{len(ids)} {'servo is' if len(ids) == 1 else 'servos are'} plugged in"
         return f"{plugged}: {', '.join(map(str, ids)) or 'none'}; {len(self.unplugged)} not"
 
     def _with_id(self, servo_id: int) -> list[int]:
-        return [row for row in range(len(self._servos)) if self._value(row, dxl.ID) == servo_id]
+        return [row for row in range(len(self._servos)) if self._value(row, self._registers.id) == servo_id]
 
     def _hears(self, row: int) -> bool:
-        rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
+        rate = self._model.rates.get(self._value(row, self._registers.baud_rate), 0)
         return row in self._plugged and (self._rate is None or abs(rate - self._rate) <= _MAX_RATE_ERROR * self._rate)
 
     def _catch_up(self, now_ns: int) -> None:

@@ -13,7 +13,8 @@ from sextant.services.simulator.servo_bus.bus_master import BusMaster
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import NEVER, Message, Mode, Receiver, Refusal, RemoteClock, Result
-from sextant.shared.servo.dynamixel import BROADCAST_ID, PRESENT_STATE, Instruction, Packet
+from sextant.shared.servo.dynamixel import BROADCAST_ID, PRESENT_STATE, Instruction
+from sextant.shared.servo.servo_model import Packet, Register
 
 NAME = "reference firmware, simulated"
 CYCLE_NS = 10_000_000  # [ns] period in which each servo is read once and a state is sent
@@ -307,7 +308,7 @@ class Firmware:
         self._written_ns = self._now_ns
         return dxl.sync_write(dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.size + dxl.MOVING_SPEED.size, rows)
 
-    def _for_all(self, register: dxl.Register, values: "list[int] | tuple[int, ...]") -> bytes:
+    def _for_all(self, register: Register, values: "list[int] | tuple[int, ...]") -> bytes:
         rows = [(servo.servo_id, register.encode(value)) for servo, value in zip(self._servos, values, strict=True)]
         return dxl.sync_write(register.address, register.size, rows)
 

@@ -13,16 +13,14 @@ from functools import lru_cache
 
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, HostLink, Outbox, Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
+from sextant.shared.servo.dynamixel import Instruction
+from sextant.shared.servo.servo_model import Access, Block, ControlTable, Packet, Register, ServoError, error_words
 
 _SEC = 1_000_000_000
 _INTER_BYTE_NS = 100_000_000  # [ns] gap between bytes after which a servo discards a packet (AX-12 user's manual)
 _ANSWER_ALL, _ANSWER_READ = 2, 1  # status return levels
-# One read of adjacent registers returns id, baud rate, return delay and status return level.
-_HEAD_START, _HEAD_SIZE = dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address - dxl.ID.address + 1
-_FREE = dxl.TORQUE_ENABLE.address, dxl.TORQUE_LIMIT.address + dxl.TORQUE_LIMIT.size  # writable while the servo is locked
-_HEAD_DELAY = dxl.RETURN_DELAY.address - dxl.ID.address
+_BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
+_RETURN_DELAY_NS = 2_000  # [ns] per tick of the return delay register, of all families
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +36,7 @@ class BusTiming:
 
     def wire_ns(self, count: int) -> int:
         """Return the transmission time [ns] of a number of bytes."""
-        return count * dxl.BITS_PER_BYTE * _SEC // self.baud_rate
+        return count * _BITS_PER_BYTE * _SEC // self.baud_rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +77,10 @@ class ServoBusEmulator(AnswersOnly):
         self._bank = bank
         self._timing = timing or BusTiming()
         self._echo = echo
-        self._parser = PacketParser(keep_broken=True)
+        self._model, self._registers, self._protocol = bank.model, bank.table, bank.model.protocol
+        # One read returns what the answer of a servo depends on.
+        self._head = Block((self._registers.id, self._registers.return_delay, self._registers.status_return_level))
+        self._parser = self._protocol.instruction_parser()
         self._received = 0  # number of bytes received
         self._last_ns = 0  # time of the last bytes from the host
         self._wire_free_ns = 0
@@ -138,7 +139,7 @@ class ServoBusEmulator(AnswersOnly):
     # -------------------------------------------------------------------------------------------- instructions
 
     def _execute(self, packet: Packet, time_ns: int) -> Iterable[Reply]:
-        broadcast = packet.servo_id == dxl.BROADCAST_ID
+        broadcast = packet.servo_id == self._protocol.BROADCAST_ID
         if broadcast:
             rows = [row for listening in self._listeners.values() for row in listening]
         else:
@@ -176,7 +177,7 @@ class ServoBusEmulator(AnswersOnly):
         return () if broadcast else self._answer(rows, time_ns, error)
 
     def _read(self, rows: list[int], time_ns: int, address: int, size: int) -> list[Reply]:
-        if size == 0 or address + size > dxl.TABLE_SIZE:
+        if size == 0 or address + size > self._registers.size:
             return self._answer(rows, time_ns, self._refuse(ServoError.RANGE))
         return self._answer(rows, time_ns, ServoError.NONE, read=(address, size))
 
@@ -198,7 +199,7 @@ class ServoBusEmulator(AnswersOnly):
             if error:
                 return self._refuse(error)
             self._registered[row] = (address, data)
-        self._change(time_ns, dxl.REGISTERED.address, dict.fromkeys(rows, b"\x01"))
+        self._change(time_ns, self._registers.registered.address, dict.fromkeys(rows, b"\x01"))
         return ServoError.NONE
 
     def _action(self, rows: list[int], time_ns: int, broadcast: bool) -> ServoError:
@@ -206,7 +207,7 @@ class ServoBusEmulator(AnswersOnly):
         for row in waiting:
             address, data = self._registered.pop(row)
             self._change(time_ns, address, {row: data})
-        self._change(time_ns, dxl.REGISTERED.address, dict.fromkeys(waiting, b"\x00"))
+        self._change(time_ns, self._registers.registered.address, dict.fromkeys(waiting, b"\x00"))
         return ServoError.NONE if waiting or broadcast else self._refuse(ServoError.INSTRUCTION)
 
     def _sync_write(self, time_ns: int, parameters: bytes) -> None:
@@ -233,55 +234,61 @@ class ServoBusEmulator(AnswersOnly):
 
         A valid write covers whole writable registers, has values in range, and goals within the angle limits.
         """
-        ranges = _ranges_in(address, len(data))
-        if ranges is None or (not _FREE[0] <= address <= _FREE[1] - len(data) and self._value(row, dxl.LOCK)):
-            return ServoError.RANGE  # the lock ends only with the power
+        table = self._registers
+        ranges = _ranges_in(table, address, len(data))
+        if ranges is None or self._is_protected(row, address, len(data)):
+            return ServoError.RANGE
         for start, size, least, most in ranges:
-            value = data[start] if size == 1 else data[start] | data[start + 1] << 8
+            value = int.from_bytes(data[start : start + size], "little")
             if not least <= value <= most:
                 return ServoError.RANGE
-            if address + start == dxl.GOAL_POSITION.address:
-                limits = self._table(row, dxl.CW_ANGLE_LIMIT.address, 4)  # clockwise, counterclockwise; both 0 is wheel mode
-                low, high = limits[0] | limits[1] << 8, limits[2] | limits[3] << 8
+            if address + start == table.goal_position.address:
+                limits = table.limits.unpack(self._table(row, table.limits.address, table.limits.size))
+                low, high = limits  # both 0 is wheel mode
                 if not low <= value <= high and high:
                     return ServoError.ANGLE_LIMIT
         return ServoError.NONE
+
+    def _is_protected(self, row: int, address: int, size: int) -> bool:
+        """Return whether a lock, which ends only with the power, protects these registers."""
+        lock, free = self._registers.lock, self._registers.unlocked
+        return lock is not None and not (free.start <= address <= free.stop - size) and bool(self._value(row, lock))
 
     def _table(self, row: int, address: int, size: int, at_ns: int | None = None) -> bytes:
         """Return bytes of a control table at a time [ns], with pending writes applied."""
         data = self._bank.read(row, address, size, at_ns)
         for change in self._changes:
             if change.address < address + size and address < change.address + change.size and row in change.rows:
-                table = bytearray(dxl.TABLE_SIZE)
+                table = bytearray(self._registers.size)
                 table[address : address + size] = data
                 table[change.address : change.address + change.size] = change.rows[row]
                 data = bytes(table[address : address + size])
         return data
 
     def _value(self, row: int, register: Register) -> int:
-        data = self._table(row, register.address, register.size)
-        return data[0] if register.size == 1 else data[0] | data[1] << 8
+        return int.from_bytes(self._table(row, register.address, register.size), "little")
 
     def _change(self, time_ns: int, address: int, rows: dict[int, bytes]) -> None:
         if not rows:
             return
         size = len(next(iter(rows.values())))
         self._changes.append(_Change(time_ns, address, size, rows))
-        if address <= dxl.BAUD_RATE.address and dxl.ID.address < address + size:
+        if address <= self._registers.baud_rate.address and self._registers.id.address < address + size:
             self._find_listeners()
 
     def _factory(self, row: int) -> bytes:
         """Return the factory table of a servo, with its current measured values."""
-        start, end = dxl.PRESENT_POSITION.address, dxl.LOCK.address
-        table = bytearray(self._bank.model.factory_table())
-        table[start:end] = self._bank.read(row, start, end - start)
+        table = bytearray(self._model.factory_table())
+        for register in (*self._registers.measured, self._registers.moving):
+            start, end = register.address, register.address + register.size
+            table[start:end] = self._bank.read(row, start, register.size)
         return bytes(table)
 
     def _find_listeners(self) -> None:
         """Update the map from ids to the servos that receive the host's packets."""
         self._listeners = {}
         for row in filter(self._hears, range(len(self._bank))):
-            self._listeners.setdefault(self._value(row, dxl.ID), []).append(row)
+            self._listeners.setdefault(self._value(row, self._registers.id), []).append(row)
 
     def _hears(self, row: int) -> bool:
         """Return whether a servo is connected and has the host's baud rate.
@@ -290,14 +297,14 @@ class ServoBusEmulator(AnswersOnly):
         """
         if row in self._cut_off:
             return False
-        rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
+        rate = self._model.rates.get(self._value(row, self._registers.baud_rate), 0)
         return abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate
 
     # ------------------------------------------------------------------------------------------------- responses
 
     def _refuse(self, error: ServoError) -> ServoError:
         if error:
-            self.counts.refused[dxl.error_words(error)] += 1
+            self.counts.refused[error_words(error)] += 1
         return error
 
     def _answer(
@@ -316,13 +323,13 @@ class ServoBusEmulator(AnswersOnly):
         needed = 0 if always else _ANSWER_READ if read else _ANSWER_ALL
         answers: list[tuple[int, int, bytes]] = []  # id, delay [ns] and response of each servo
         for row in rows:
-            head = self._table(row, _HEAD_START, _HEAD_SIZE)
-            if head[-1] < needed:
+            head = self._head.unpack(self._table(row, self._head.address, self._head.size))
+            servo_id, delay, level = head
+            if level < needed:
                 continue
-            servo_id, delay = head[0], head[_HEAD_DELAY] * dxl.RETURN_DELAY_NS
-            said = dxl.status(
-                servo_id, int(error) | self._bank.error(row), self._table(row, *read, at_ns=time_ns) if read else b""
-            )
+            delay *= _RETURN_DELAY_NS
+            data = self._table(row, *read, at_ns=time_ns) if read else b""
+            said = self._protocol.status(servo_id, self._protocol.error_code(error, self._bank.error(row)), data)
             answers.append((servo_id, delay, said))
         replies: list[Reply] = []
         for servo_id, delay, data in answers if len(answers) == 1 else self._heard(answers):
@@ -365,17 +372,17 @@ def _nobody(data: bytes, now_ns: int) -> None:
 
 
 @lru_cache(maxsize=1024)
-def _ranges_in(address: int, size: int) -> tuple[tuple[int, int, int, int], ...] | None:
+def _ranges_in(table: ControlTable, address: int, size: int) -> tuple[tuple[int, int, int, int], ...] | None:
     """Return start in the data, size, least and largest value of each register that a write of `size` bytes covers.
 
     The result is None if it covers a read-only register, or a register only partly. Unused addresses between registers accept
     any value.
     """
     end = address + size
-    if end > dxl.TABLE_SIZE:
+    if end > table.size:
         return None
     found = []
-    for register in dxl.REGISTERS:
+    for register in table.registers:
         if register.address < end and address < register.address + register.size:
             whole = address <= register.address and register.address + register.size <= end
             if not whole or register.access is not Access.READ_WRITE:

@@ -16,6 +16,7 @@ from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.servo_model import ServoError
 from sextant.shared.wire.messages import FaultTarget
 
 _SEC, _MS = 1e9, 1_000_000
@@ -129,7 +130,7 @@ class BusFaults(AnswersOnly):
         Raises:
             ValueError: The fault names a servo that does not exist.
         """
-        row = row_of(fault, self._bank.tables[:, dxl.ID.address].tolist())
+        row = row_of(fault, self._bank.column(self._bank.table.id).tolist())
         begin_ns = max(round(fault.at_s * _SEC), self._simulated(now_ns))
         end_ns = begin_ns + round(fault.for_s * _SEC)
         rng = Random(f"{self._seed} {self._injected}")
@@ -226,7 +227,7 @@ class BusFaults(AnswersOnly):
             case "servo", "wrong":
                 servo_faults.offset[row] += fault.offset_ticks
             case "servo", "overload":
-                servo_faults.tripped[row] |= int(dxl.ServoError.OVERLOAD)
+                servo_faults.tripped[row] |= int(ServoError.OVERLOAD)
             case "servo", "heat":
                 servo_faults.heating[row] += fault.kelvin_per_s
             case "servo", "hot":

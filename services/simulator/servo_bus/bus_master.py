@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Packet, PacketParser
+from sextant.shared.servo.dynamixel import PacketParser
+from sextant.shared.servo.servo_model import Packet
 
 TIMEOUT_NS = 2_000_000  # [ns] from the end of a request: twice the sum of factory return delay and transfer of a whole table
 BYTE_NS = 10_000  # [ns] duration of a byte at 1 Mbit/s

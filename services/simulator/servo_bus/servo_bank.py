@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.robot.profile import Servo
 from sextant.shared.runtime.compiled import compiled
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import ServoError, ServoModel
+from sextant.shared.servo.dynamixel import full_torque_ticks
+from sextant.shared.servo.models import AX_12A, MODEL_NAMED
 from sextant.shared.servo.protection import Protection
+from sextant.shared.servo.servo_model import Register, ServoError, ServoModel, Sign
 
 Array = NDArray[np.float64]
 
@@ -78,12 +79,6 @@ _MAX_EXTRAPOLATION_NS = 6_000_000
 _JAM_RATIO = 5.0  # [1] stiffness and torque that hold a jammed joint, as multiples of those of its servo
 _BUCKETS = 100  # number of time slices of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
-# The compiled functions take units as arguments: a global constant becomes part of the compiled code, whose cache does not
-# detect changes in another file. The error bits above are fixed by the protocol.
-_UNITS = tuple(map(float, (dxl.TICK_CENTRE, dxl.TICK_RAD, dxl.TICK_MAX, dxl.SPEED_RAD_S, dxl.LOAD_UNIT, dxl.DIRECTION_CW)))
-_MEASURED_START = dxl.PRESENT_POSITION.address
-_GOAL_START, _GOAL_END = dxl.GOAL_POSITION.address, dxl.MOVING_SPEED.address + dxl.MOVING_SPEED.size
-_MEASURED_END = dxl.MOVING.address + dxl.MOVING.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,28 +155,37 @@ def _measure(
     goal: Array,
     ramp: Array,
     torque_off: NDArray[np.bool_],
-    words: NDArray[np.uint16],
-    temperatures: NDArray[np.uint8],
-    moving: NDArray[np.uint8],
+    load_direction: Array,
+    values: NDArray[np.int64],
 ) -> None:
-    """Write what n servos measure `after` [s] a physics step to their registers.
+    """Compute what n servos measure `after` [s] a physics step, in register units.
 
     Angles and loads are extrapolated: the load is that of the motor at the extrapolated angle. With `after` NaN they are those
-    of the step. The position is clipped; speed and load are magnitude and sign bit.
+    of the step. The position is clipped.
+
+    Args:
+        units: Centre, size and last of the position ticks, units of speed and load, their largest magnitudes, and the bit that
+            marks negative ones, 0 for two's complement.
+        load_direction: (n,) -1 for load registers with the wrong sign.
+        values: (n, 5) position, speed, load, temperature, and whether the servo moves; overwritten.
     """
-    centre, tick, last_tick, speed_unit, load_unit, clockwise = units
+    centre, tick, last_tick, speed_unit, load_unit, most_speed, most_load, speed_bit, load_bit = units
     for i in range(q.size):
         angle, share = q[i], load[i]
         if not np.isnan(after):
             angle = angle + after * qd[i]
             torque = stiffness[i] * (setpoint[i] - angle)
             share = min(max(torque, -torque_limit[i]), torque_limit[i]) / stall_torque[i]
-        words[i, 0] = np.uint16(min(max(np.rint(centre + angle / tick), 0.0), last_tick))
-        for k, value, unit in ((1, qd[i], speed_unit), (2, share, load_unit)):
-            size = min(np.rint(abs(value) / unit), clockwise - 1.0)
-            words[i, k] = np.uint16(size + clockwise if value < 0.0 and size > 0.0 else size)
-        temperatures[i] = np.uint8(min(max(np.rint(temperature[i]), 0.0), 255.0))
-        moving[i] = abs(goal[i] - ramp[i]) > tick and not torque_off[i]
+        values[i, 0] = np.int64(min(max(np.rint(centre + angle / tick), 0.0), last_tick))
+        for k, value, unit, most, bit in (
+            (1, qd[i], speed_unit, most_speed, speed_bit),
+            (2, share * load_direction[i], load_unit, most_load, load_bit),
+        ):
+            size = min(np.rint(abs(value) / unit), most)
+            negative = bit + size if bit > 0.0 and size > 0.0 else -size
+            values[i, k] = np.int64(negative if value < 0.0 else size)
+        values[i, 3] = np.int64(min(max(np.rint(temperature[i]), 0.0), 255.0))
+        values[i, 4] = abs(goal[i] - ramp[i]) > tick and not torque_off[i]
 
 
 @compiled
@@ -220,13 +224,13 @@ def _update_controllers(
 class ServoBank:
     """Emulation of n servos on one supply.
 
-    Servo angles are 0 rad at tick 512, counterclockwise positive.
+    Servo angles are 0 rad at the centre of the position register, counterclockwise positive.
     """
 
     def __init__(
         self,
         servo_ids: Sequence[int],
-        model: ServoModel = dxl.AX_12A,
+        model: ServoModel = AX_12A,
         motor: Motor = AX_12A_MOTOR,
         protection: Protection | None = None,
         supply: Supply | None = None,
@@ -239,8 +243,8 @@ class ServoBank:
         """Create servos with factory values and torque off.
 
         Args:
-            servo_ids: Ids 0 to 253, all different.
-            model: Register defaults of the servo type.
+            servo_ids: Ids that the protocol allows, all different.
+            model: Control table and units of the servo type.
             motor: Torque and currents of the servo type.
             protection: Overload and heat parameters.
             supply: The battery.
@@ -253,8 +257,8 @@ class ServoBank:
             ValueError: An id is out of range or not unique, or the charge is outside 0 to 1.
         """
         n = len(servo_ids)
-        if len(set(servo_ids)) != n or not all(0 <= i <= dxl.MAX_ID for i in servo_ids):
-            raise ValueError(f"servo ids 0 to {dxl.MAX_ID}, each once, expected, found {list(servo_ids)}")
+        if len(set(servo_ids)) != n or not all(0 <= i <= model.protocol.MAX_ID for i in servo_ids):
+            raise ValueError(f"servo ids 0 to {model.protocol.MAX_ID}, each once, expected, found {list(servo_ids)}")
         if not 0.0 <= charge <= 1.0:
             raise ValueError(f"a battery charge from 0 to 1 expected, found {charge}")
         self.model = model
@@ -271,17 +275,26 @@ class ServoBank:
         self.current = 0.0  # [A] drawn in the last step
 
         self._bytes = bytearray(model.factory_table() * n)
-        self.tables: NDArray[np.uint8] = np.frombuffer(self._bytes, dtype=np.uint8).reshape(n, dxl.TABLE_SIZE)
-        self._words = self.tables.view("<u2")  # all two-byte registers have even addresses
-        self.tables[:, dxl.ID.address] = servo_ids
-        self._torque_limits = self._column(dxl.TORQUE_LIMIT)
-        self._torque_limits[:] = self._column(dxl.MAX_TORQUE)
-        self._goals = self._column(dxl.GOAL_POSITION)
-        first = dxl.PRESENT_POSITION.address // 2
-        self._measured_words = self._words[:, first : first + 3]  # (n, 3) position, speed, load
-        self._measured_voltage = self.tables[:, dxl.PRESENT_VOLTAGE.address]
-        self._measured_temperature = self.tables[:, dxl.PRESENT_TEMPERATURE.address]
-        self._moving = self.tables[:, dxl.MOVING.address]
+        table, units = model.table, model.units
+        self.table, self._units = table, units
+        self.tables: NDArray[np.uint8] = np.frombuffer(self._bytes, dtype=np.uint8).reshape(n, table.size)
+        self._columns = {register: self._view(register) for register in table.registers}
+        self.column(table.id)[:] = servo_ids
+        self._torque_limits = self.column(table.torque_limit)
+        self._torque_limits[:] = self.column(table.max_torque)
+        self._goals = self.column(table.goal_position)
+        self._values = np.zeros((n, 5), dtype=np.int64)  # measured position, speed, load, temperature, motion
+        magnitudes = (units.speed_sign.largest(table.present_speed.size), units.load_sign.largest(table.present_load.size))
+        bits = (0 if sign is Sign.COMPLEMENT else sign.largest(2) + 1 for sign in (units.speed_sign, units.load_sign))
+        # The compiled functions take units as arguments, because they differ between models.
+        self._measure_units = tuple(
+            map(float, (units.centre, units.tick_rad, units.max_position, units.speed_rad_s, units.load, *magnitudes, *bits))
+        )
+        measured = (*table.measured, table.moving)
+        self._measured_addresses = (
+            min(register.address for register in measured),
+            max(register.address + register.size for register in measured),
+        )
 
         start = self.protection.ambient if temperature is None else temperature
         self.temperature: Array = np.full(n, start)  # (n,) [deg C]
@@ -306,7 +319,7 @@ class ServoBank:
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
         self._torque_off = np.ones(n, dtype=np.bool_)
-        self._active_faults = ServoFaults.none(n)
+        self._active_faults, self._load_direction = ServoFaults.none(n), np.ones(n)
         self._has_faults = False
         self._jammed_at = np.zeros(n)  # [rad]
 
@@ -322,13 +335,13 @@ class ServoBank:
         Measured values are those of the last physics step. If its bus time is known, they are extrapolated with the joint
         speeds to the time `at_ns` of the reading, because the registers of real servos change continuously.
         """
-        if address < _MEASURED_END and address + size > _MEASURED_START:
+        if address < self._measured_addresses[1] and address + size > self._measured_addresses[0]:
             after_ns = 0
             if at_ns is not None and self._at_ns is not None:
                 after_ns = min(max(at_ns - self._at_ns, -_MAX_EXTRAPOLATION_NS), _MAX_EXTRAPOLATION_NS)
             if not self._measured or after_ns != self._measured_after_ns:
                 self._write_measured(after_ns)
-        start = row * dxl.TABLE_SIZE + address
+        start = row * self.table.size + address
         return bytes(self._bytes[start : start + size])
 
     def write(self, row: int, address: int, data: bytes) -> None:
@@ -338,19 +351,19 @@ class ServoBank:
         24472, RX-28). Writing a goal does not turn torque on, because no source states this for the AX-12A. Writing Torque
         Limit ends a shutdown, which the next step repeats if its condition is still met.
         """
-        end = address + len(data)
-        start = row * dxl.TABLE_SIZE
+        end, goals = address + len(data), self.table.goals
+        start = row * self.table.size
         self._goals_changed = True
-        if address >= _GOAL_START and end <= _GOAL_END:  # the usual case
+        if address >= goals.address and end <= goals.address + goals.size:  # the usual case
             self._bytes[start + address : start + end] = data
             return
-        enable = start + dxl.TORQUE_ENABLE.address
+        enable = start + self.table.torque_enable.address
         was_on = self._bytes[enable]
         self._bytes[start + address : start + end] = data
         turned_on = self._bytes[enable] and not was_on
-        if turned_on and not (address <= dxl.GOAL_POSITION.address < end):
+        if turned_on and not (address <= self.table.goal_position.address < end):
             self._goals[row] = self._position_ticks(row)
-        if address <= dxl.TORQUE_LIMIT.address < end:
+        if address <= self.table.torque_limit.address < end:
             self._latched_errors[row] = 0
         self._settings_changed = True
 
@@ -362,6 +375,7 @@ class ServoBank:
         for row in np.flatnonzero(before.unpowered & ~now.unpowered):
             self._power_up(int(row))
         self._jammed_at = np.where(now.jammed & ~before.jammed, self._q, self._jammed_at)
+        self._load_direction = np.where(now.wrong_sign, -1.0, 1.0)
         self._active_faults, self._has_faults = now, faults is not None or bool(self.slipped.any())
         self._stall_torque = self.motor.stall_torque * self._variation.torque * now.strength
         self._measured, self._settings_changed, self._goals_changed = False, True, True
@@ -371,9 +385,9 @@ class ServoBank:
 
         Torque is off and no error is latched.
         """
-        start = dxl.TORQUE_ENABLE.address
+        start = self.table.torque_enable.address
         self.tables[row, start:] = np.frombuffer(self.model.factory_table(), dtype=np.uint8)[start:]
-        self._torque_limits[row] = self._column(dxl.MAX_TORQUE)[row]
+        self._torque_limits[row] = self.column(self.table.max_torque)[row]
         self._latched_errors[row] = 0
         self._goals_changed = self._settings_changed = True
 
@@ -384,9 +398,8 @@ class ServoBank:
 
     def error(self, row: int) -> int:
         """Return the error bits of one servo's state, without those of an instruction."""
-        start = row * dxl.TABLE_SIZE
-        volts = round(self.voltage / dxl.VOLT_UNIT)
-        low, high = self._bytes[start + dxl.MIN_VOLTAGE.address], self._bytes[start + dxl.MAX_VOLTAGE.address]
+        volts = round(self.voltage / self._units.volt)
+        low, high = self.column(self.table.min_voltage)[row], self.column(self.table.max_voltage)[row]
         return int(self._latched_errors[row]) | (0 if low <= volts <= high else int(ServoError.INPUT_VOLTAGE))
 
     # ----------------------------------------------------------------------------------- methods for the physics
@@ -461,7 +474,7 @@ class ServoBank:
             tripped = bool(self._tripped.any())
         if tripped:
             self._latched_errors |= self._tripped
-            down = (self._tripped & self.tables[:, dxl.SHUTDOWN.address] != 0) & (self._torque_limits != 0)
+            down = (self._tripped & self.column(self.table.shutdown) != 0) & (self._torque_limits != 0)
             if down.any():
                 self._torque_limits[down] = 0
                 self._settings_changed = True
@@ -502,38 +515,46 @@ class ServoBank:
         self._goals_changed = False
         if self._has_faults:
             self._goals[:] = (self._goals | self._active_faults.stuck_ones) & ~self._active_faults.stuck_zeros
-        self._goal[:] = (self._goals - float(dxl.TICK_CENTRE)) * dxl.TICK_RAD
-        speed = self._column(dxl.MOVING_SPEED)
-        self._speed[:] = np.where(speed == 0, np.inf, speed * dxl.SPEED_RAD_S)
+        self._goal[:] = (self._goals - float(self._units.centre)) * self._units.tick_rad
+        speed = self.column(self.table.goal_speed)
+        self._speed[:] = np.where(speed == 0, np.inf, speed * self._units.speed_rad_s)
 
     def _convert_settings(self) -> None:
         """Convert the other registers to physical values, after one of them has changed."""
         self._settings_changed = False
-        self._temperature_limit[:] = self._column(dxl.TEMPERATURE_LIMIT)
-
-        for i, (margin, slope) in enumerate(
-            [
-                (dxl.CW_COMPLIANCE_MARGIN, dxl.CW_COMPLIANCE_SLOPE),
-                (dxl.CCW_COMPLIANCE_MARGIN, dxl.CCW_COMPLIANCE_SLOPE),
-            ]
-        ):
-            self._margin[i] = self._column(margin) * dxl.TICK_RAD + self._variation.backlash / 2
-            steps = np.array([dxl.full_torque_ticks(value) for value in self._column(slope).tolist()])
-            self._stiffness[i] = self._stall_torque / (steps * dxl.TICK_RAD) * self._variation.stiffness
-
-        wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
-        limit = np.minimum(self._torque_limits, self._column(dxl.MAX_TORQUE)) / float(dxl.TORQUE_LIMIT.max)
-        off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode | self._active_faults.unpowered
+        table = self.table
+        self._temperature_limit[:] = self.column(table.temperature_limit)
+        self._convert_compliance()
+        wheel_mode = (self.column(table.low_limit) == 0) & (self.column(table.high_limit) == 0)
+        limit = np.minimum(self._torque_limits, self.column(table.max_torque)) / float(table.torque_limit.max)
+        off = (self.column(table.torque_enable) == 0) | wheel_mode | self._active_faults.unpowered
         self._limit[:] = np.where(off, 0.0, self._stall_torque * limit)
         self._torque_off = self._limit == 0.0
         self._out.torque_limit[:] = self._limit
 
-    def _column(self, register: dxl.Register) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """Return one register of all servos, as a view of the tables."""
-        return self.tables[:, register.address] if register.size == 1 else self._words[:, register.address // 2]
+    def _convert_compliance(self) -> None:
+        """Convert the settings of the position controllers to margins and stiffness."""
+        table = self.table
+        if table.position_gain is not None:
+            self._margin[:] = self._variation.backlash / 2
+            share = self.column(table.position_gain) * self.model.gain_stiffness
+            self._stiffness[:] = self._stall_torque * share * self._variation.stiffness
+            return
+        for i, (margin, slope) in enumerate(zip(table.compliance[:2], table.compliance[2:], strict=True)):
+            self._margin[i] = self.column(margin) * self._units.tick_rad + self._variation.backlash / 2
+            steps = np.array([full_torque_ticks(value) for value in self.column(slope).tolist()])
+            self._stiffness[i] = self._stall_torque / (steps * self._units.tick_rad) * self._variation.stiffness
+
+    def column(self, register: Register) -> NDArray[np.unsignedinteger]:
+        """Return one register (n,) of all servos, as a view of the tables."""
+        return self._columns[register]
+
+    def _view(self, register: Register) -> NDArray[np.unsignedinteger]:
+        n, width = self.tables.shape
+        return np.ndarray((n,), f"<u{register.size}", buffer=self._bytes, offset=register.address, strides=(width,))
 
     def _position_ticks(self, row: int) -> int:
-        return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)
+        return min(max(self._units.ticks(float(self._q[row])), 0), self._units.max_position)
 
     def _write_measured(self, after_ns: int) -> None:
         """Write what all servos measure at `after_ns` [ns] after the last physics step to their tables.
@@ -542,20 +563,23 @@ class ServoBank:
         beginning of the step.
         """
         self._measured, self._measured_after_ns = True, after_ns
-        words, faults, out = self._measured_words, self._active_faults, self._out
-        before = words[:, 0].copy() if self._has_faults else None
+        values, faults, out, table = self._values, self._active_faults, self._out, self.table
+        before = self.column(table.present_position).copy() if self._has_faults else None
         _measure(
-            _UNITS, math.nan if self._at_ns is None else after_ns * 1e-9, self._stall_torque, self._q, self._qd,
+            self._measure_units, math.nan if self._at_ns is None else after_ns * 1e-9, self._stall_torque, self._q, self._qd,
             self._load, out.setpoint, out.stiffness, out.torque_limit, self.temperature, self._goal, self._setpoint,
-            self._torque_off, words, self._measured_temperature, self._moving,
+            self._torque_off, self._load_direction, values,
         )  # fmt: skip
-        self._measured_voltage[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
         if before is not None:
-            off = np.clip(words[:, 0] + faults.offset, 0, dxl.TICK_MAX)
-            words[:, 0] = np.where(faults.frozen, before, off)
-            words[:, 2] ^= np.where(faults.wrong_sign & (words[:, 2] > 0), np.uint16(dxl.DIRECTION_CW), np.uint16(0))
-            hot = faults.reads_hot >= 0
-            self._measured_temperature[hot] = faults.reads_hot[hot]
+            off = np.clip(values[:, 0] + faults.offset, 0, self._units.max_position)
+            values[:, 0] = np.where(faults.frozen, before, off)
+            values[:, 3] = np.where(faults.reads_hot >= 0, faults.reads_hot, values[:, 3])
+        self.column(table.present_position)[:] = values[:, 0]
+        self.column(table.present_speed)[:] = values[:, 1]
+        self.column(table.present_load)[:] = values[:, 2]
+        self.column(table.present_voltage)[:] = min(max(round(self.voltage / self._units.volt), 0), 255)
+        self.column(table.present_temperature)[:] = values[:, 3]
+        self.column(table.moving)[:] = values[:, 4]
 
 
 def make_servo_bank(
@@ -576,8 +600,8 @@ def make_servo_bank(
     current = motor.stall_current * servo.stall_torque / motor.stall_torque
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
-    by_slope = servo.stall_torque / (dxl.full_torque_ticks(servo.compliance_slope) * dxl.TICK_RAD)
-    n = len(servo_ids)
+    model, n = MODEL_NAMED[servo.model], len(servo_ids)
+    by_slope = servo.stall_torque / (full_torque_ticks(servo.compliance_slope) * model.units.tick_rad)
     variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
     variation = replace(variation, stiffness=variation.stiffness * servo.stiffness / by_slope)
-    return ServoBank(servo_ids, dxl.MODEL_NAMED[servo.model], motor, supply=supply, q=q, variation=variation)
+    return ServoBank(servo_ids, model, motor, supply=supply, q=q, variation=variation)

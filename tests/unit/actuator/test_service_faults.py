@@ -10,12 +10,13 @@ from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import ServoError
 from sextant.shared.wire.messages import Mode
 from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, UP, Rig
 
 
 def shut_down(rig: Rig, row: int) -> None:
-    rig.bank._latched_errors[row] = int(dxl.ServoError.OVERLOAD)
+    rig.bank._latched_errors[row] = int(ServoError.OVERLOAD)
 
 
 def test_low_torque_limit_is_reported_and_restored_by_ready_order() -> None:

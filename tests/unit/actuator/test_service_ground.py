@@ -7,7 +7,7 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.step_executor import StepExecutor
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, rotation_from_rpy
 from sextant.shared.robot.kinematics import body_forward
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import ServoError
 from sextant.shared.wire.messages import ActuatorState, Imu, Mode
 from tests.support.actuator_rig import PROFILE, REST, STILL, UP, Rig
 
@@ -179,7 +179,7 @@ def test_upside_down_imu_does_not_move_legs() -> None:
 def test_faulty_robot_does_not_level_when_tilted() -> None:
     rig = Rig()
     walk_with_trusted_imu(rig)
-    rig.bank._latched_errors[4] = int(dxl.ServoError.ANGLE_LIMIT)
+    rig.bank._latched_errors[4] = int(ServoError.ANGLE_LIMIT)
     rig.cycle(20)
     goals = rig.goals
     tip(rig, np.radians(10.0))

@@ -16,6 +16,7 @@ from sextant.shared.runtime.service import AnyTopic, Inbox
 from sextant.shared.scenario.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.servo_model import Register
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 
@@ -205,7 +206,7 @@ def test_bus_fault_of_scenario_starts_and_ends_in_time() -> None:
     assert sim.status() == "simulating flat, 0.1 s, faults: bus silent"
 
 
-def read_register(sim: Simulator, row: int, register: dxl.Register, at_ns: int | None = None) -> int:
+def read_register(sim: Simulator, row: int, register: Register, at_ns: int | None = None) -> int:
     return int.from_bytes(sim.servos.read(row, register.address, register.size, at_ns), "little")
 
 

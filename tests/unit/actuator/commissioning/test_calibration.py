@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.commissioning import calibration
 from sextant.services.actuator.commissioning.calibration import calibrate, implausible, trims_deg
-from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT, ServoNotRespondingError
+from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError
 from sextant.shared.files import config
 from sextant.shared.robot import profile_file
 from sextant.shared.robot.profile import LEGS, Calibration, RobotProfile
@@ -23,6 +23,8 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
+
+TORQUE_LIMIT, MOVING_SPEED = 300, 30  # 30 % of the torque, 20 deg/s
 
 TODAY = date(2026, 7, 30)
 RX = load_profile("lotriet_rx64")

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
-from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT
 from sextant.shared.robot.profile import JOINTS, LEGS
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import Register
 from tests.support.builder import Answer, Builder
 from tests.support.desk import Desk
+
+TORQUE_LIMIT, MOVING_SPEED = 300, 30  # 30 % of the torque, 20 deg/s
 
 TICK_DEG = float(np.degrees(dxl.TICK_RAD))
 
@@ -152,7 +154,7 @@ def interrupt_joint_test(desk: Desk, when: Callable[[bytes], bool], answers: lis
 @pytest.mark.parametrize(
     "register", [dxl.TORQUE_ENABLE, dxl.MOVING_SPEED, dxl.TORQUE_LIMIT], ids=lambda register: register.name
 )
-def test_interrupt_during_joint_torque_off_still_completes_it(register: dxl.Register) -> None:
+def test_interrupt_during_joint_torque_off_still_completes_it(register: Register) -> None:
     desk = Desk()
     row, released = desk.row(1), False
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.commissioning import set_ids
-from sextant.services.actuator.commissioning.set_ids import USUAL_RATES, Line
+from sextant.services.actuator.commissioning.set_ids import Line, usual_rates
 from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import Register, ServoError
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
 
@@ -26,9 +27,9 @@ SET = (dxl.RETURN_DELAY, 0), (dxl.STATUS_RETURN_LEVEL, 2), (dxl.BAUD_RATE, 1)
 def line(desk: Desk) -> Line:
     def at(rate: int) -> ServoBus:
         names = desk.profile.servo_names
-        return ServoBus(desk.open(rate), list(names), desk.clock, names=names, model=dxl.MODEL_NAMED[desk.profile.servo.model])
+        return ServoBus(desk.open(rate), list(names), desk.clock, names=names, model=desk.profile.servo_model)
 
-    return Line(at)
+    return Line(at, usual_rates(desk.profile.servo_model))
 
 
 def plug(desk: Desk, count: int = 1, answer: str = "") -> Callable[[], str]:
@@ -61,7 +62,7 @@ def test_scan_of_healthy_robot_lists_servos_without_problems() -> None:
     found = set_ids.scan(line(desk))
     assert [one.seen.servo_id for one in found] == sorted(PHANTOMX.servo_names)
     assert {one.rate for one in found} == {BAUD_RATE}
-    assert desk.rates == list(USUAL_RATES)
+    assert desk.rates == list(usual_rates(desk.profile.servo_model))
     assert set_ids.verdict(found, PHANTOMX) == []
     table = set_ids.in_words(found, PHANTOMX).splitlines()
     assert len(table) == 19
@@ -96,7 +97,7 @@ def test_voltage_heat_and_latched_overload_are_named() -> None:
     desk = Desk()
     desk.bench._servos.charge = 0.1
     desk.bench._servos.temperature[desk.row(6)] = 64.0
-    desk.bench._servos._latched_errors[desk.row(17)] = dxl.ServoError.OVERLOAD
+    desk.bench._servos._latched_errors[desk.row(17)] = ServoError.OVERLOAD
     words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)]
     assert len(words) == 18
     assert all("V, at least 10.5 V expected: charge the battery" in one for one in words)
@@ -366,7 +367,7 @@ HARMFUL = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("register", "value", "words"), HARMFUL, ids=lambda value: getattr(value, "name", None))
-def test_unsafe_limits_and_protections_are_named_and_restored(register: dxl.Register, value: int, words: str) -> None:
+def test_unsafe_limits_and_protections_are_named_and_restored(register: Register, value: int, words: str) -> None:
     desk = Desk()
     desk.change(9, register, value)
     found = set_ids.scan(line(desk))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sextant.services.actuator.safety.health_monitor import SILENT, Health, Verdict, Vitals
 from sextant.shared.robot.profile import JOINTS, LEGS
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.servo.dynamixel import ServoError
+from sextant.shared.servo.servo_model import ServoError
 
 PROFILE = load_profile("phantomx_mk2")
 PERIOD = 0.02

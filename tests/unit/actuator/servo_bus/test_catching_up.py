@@ -5,7 +5,6 @@ import numpy as np
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
 from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
-from sextant.shared.servo import dynamixel as dxl
 
 MS, SECOND = 1_000_000, 1_000_000_000
 FIRST = np.arange(18) == 0
@@ -16,10 +15,10 @@ FAR, FAST = np.radians(20.0), np.radians(100.0)
 def test_only_servos_that_missed_goals_are_slow() -> None:
     servos = CatchingUp()
     servos.leave_behind(FIRST, LOWERED)
-    assert servos.speed_ticks.tolist() == [dxl.moving_speed_from(LOWERED), *[0] * 17]
+    assert servos.speed_limits.tolist() == [LOWERED, *[0.0] * 17]
     servos.leave_behind(FIRST, GENTLE)
     servos.leave_behind(FIRST, LOWERED)
-    assert servos.speed_ticks[0] == dxl.moving_speed_from(GENTLE), "the lowest limit counts"
+    assert servos.speed_limits[0] == GENTLE, "the lowest limit counts"
 
 
 def test_a_servo_has_caught_up_near_its_goal_or_once_it_no_longer_moves() -> None:

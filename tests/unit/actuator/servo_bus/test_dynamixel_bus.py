@@ -28,7 +28,8 @@ from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.runtime import clock
 from sextant.shared.runtime.simulated_time import SERVO_BUS, SPAN_NS, SimulatedTime
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Dropped, ServoError
+from sextant.shared.servo.dynamixel import Dropped
+from sextant.shared.servo.servo_model import ServoError
 
 WILD = settings(deadline=None, derandomize=True, max_examples=50)
 

@@ -12,6 +12,7 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError
 from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction
+from sextant.shared.servo.servo_model import ServoError
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
 # ------------------------------------------------------------------------------------------------------------- start-up
@@ -94,7 +95,7 @@ def test_torque_limit_equal_to_max_torque_register_counts_as_full() -> None:
 
 def test_torque_on_does_not_restore_an_overheated_servo() -> None:
     rig = JointsRig()
-    rig.bank._latched_errors[SERVO] = int(dxl.ServoError.OVERHEATING)
+    rig.bank._latched_errors[SERVO] = int(ServoError.OVERHEATING)
     rig.put(SERVO, dxl.LED, 0)
     rig.bank.tables[SERVO, dxl.TORQUE_LIMIT.address :][:2] = 0
     rig.start()

@@ -15,7 +15,8 @@ from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Instruction, Register
+from sextant.shared.servo.dynamixel import Instruction
+from sextant.shared.servo.servo_model import Register, ServoError
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
 # ----------------------------------------------------------------------------------------------- a port that disconnects
@@ -238,10 +239,10 @@ def overloaded_rig() -> JointsRig:
     rig = JointsRig().start()
     rig.cycle(8)
     rig.put(SERVO, dxl.TORQUE_LIMIT, 0)
-    rig.bank._latched_errors[SERVO] = int(dxl.ServoError.OVERLOAD)
+    rig.bank._latched_errors[SERVO] = int(ServoError.OVERLOAD)
     rig.q[SERVO] += 0.3
     rig.cycle(16)
-    assert rig.joints.vitals.errors[SERVO] & dxl.ServoError.OVERLOAD
+    assert rig.joints.vitals.errors[SERVO] & ServoError.OVERLOAD
     return rig
 
 

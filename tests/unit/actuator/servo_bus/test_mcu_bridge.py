@@ -20,7 +20,7 @@ from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome
-from sextant.shared.servo.dynamixel import ServoError
+from sextant.shared.servo.servo_model import ServoError
 
 WILD = settings(deadline=None, derandomize=True, max_examples=40)
 

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
 from sextant.services.actuator.servo_bus.reading_validation import Implausibility, ReadingValidator, State
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.models import AX_12A, MODELS
+from sextant.shared.servo.servo_model import ServoModel
 
 WILD = settings(deadline=None, derandomize=True)
 MS = 1_000_000
@@ -24,10 +26,10 @@ class Judge:
     """One servo that has reported its usual values, and a clock."""
 
     noisy: bool = False
-    model: dxl.ServoModel = dxl.AX_12A
+    model: ServoModel = AX_12A
 
     def __post_init__(self) -> None:
-        self.of = ReadingValidator(1, self.model.no_load_speed)
+        self.of = ReadingValidator(1, self.model)
         self.now_ns = 0
         assert self.of.accepts(0, USUAL, False)
         self.goal(500)
@@ -77,10 +79,10 @@ def test_unconfirmed_jump_is_refused_with_reason(said: dict[str, int], doubt: Im
     assert judge.of.refused == {doubt: 1}
 
 
-@pytest.mark.parametrize("model", dxl.MODELS, ids=lambda model: model.name)
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 @pytest.mark.parametrize("after_ms", [20.0, 80.0])
 def test_a_servo_may_move_at_the_no_load_speed_of_its_model_and_no_servo_at_twice_that(
-    model: dxl.ServoModel, after_ms: float
+    model: ServoModel, after_ms: float
 ) -> None:
     way = model.no_load_speed * after_ms * 1e-3 / dxl.TICK_RAD  # [ticks]
     for moved, accepted in ((round(way), True), (round(2.0 * way) + 10, False)):
@@ -143,7 +145,7 @@ def test_noisy_bus_requires_confirmation_of_load_and_speed_jumps() -> None:
 
 
 def test_first_reading_on_noisy_bus_requires_confirmation() -> None:
-    judge = ReadingValidator(1, dxl.AX_12A.no_load_speed)
+    judge = ReadingValidator(1, AX_12A)
     assert not judge.accepts(0, USUAL, True)
     assert not judge.accepts(0, USUAL._replace(position=100), True)
     assert judge.accepts(0, USUAL._replace(position=101), True)
@@ -162,7 +164,7 @@ def test_repeated_reading_is_refused_only_for_a_moving_joint() -> None:
 
 
 def test_confirmed_voltage_jump_applies_to_all_servos() -> None:
-    judge = ReadingValidator(2, dxl.AX_12A.no_load_speed)
+    judge = ReadingValidator(2, AX_12A)
     assert judge.accepts(0, USUAL, False)
     assert judge.accepts(1, USUAL, False)
     sagged = USUAL._replace(stamp_ns=80 * MS, voltage=100)
@@ -186,7 +188,7 @@ SAID = st.builds(
 @WILD
 @given(st.lists(st.tuples(SAID, st.integers(1, 200), st.booleans(), st.integers(0, 1023)), max_size=30))
 def test_accepted_random_readings_are_near_or_confirmed(said: list[tuple[State, int, bool, int]]) -> None:
-    judge, now_ns = ReadingValidator(1, dxl.AX_12A.no_load_speed), 0
+    judge, now_ns = ReadingValidator(1, AX_12A), 0
     believed: State | None = None
     unborne: State | None = None  # last reading that is possible but was not accepted
     goals: list[int] = []

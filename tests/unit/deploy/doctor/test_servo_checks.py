@@ -18,6 +18,7 @@ from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import LEGS, Calibration
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import ServoError
 from sextant.shared.wire.ports import free_port
 
 PROFILE = load_profile("phantomx_mk2")
@@ -101,7 +102,7 @@ def test_echoing_adapter_warns_and_servos_are_still_checked() -> None:
 def test_low_voltage_high_temperature_and_overload_are_reported(bench: BenchEmulator) -> None:
     bench._servos.charge = 0.1
     bench._servos.temperature[bench._with_id(6)] = 66.0
-    bench._servos._latched_errors[bench._with_id(17)] = dxl.ServoError.OVERLOAD
+    bench._servos._latched_errors[bench._with_id(17)] = ServoError.OVERLOAD
     checks = run_checks(bench)
     assert checks["servo voltage"].level is Level.WARN
     assert "at least 10.5 V" in checks["servo voltage"].advice

@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Access, Dropped, Instruction, PacketParser, ServoError
+from sextant.shared.servo.dynamixel import Dropped, Instruction, PacketParser
+from sextant.shared.servo.models import AX_12A, RX_64
+from sextant.shared.servo.servo_model import Access, ServoError, error_words
 
 WILD = settings(deadline=None, derandomize=True)
 
@@ -156,7 +158,7 @@ def test_registers_do_not_overlap_and_have_unique_names() -> None:
 
 
 def test_models_differ_as_in_manual() -> None:
-    ax, rx = dxl.AX_12A.factory_table(), dxl.RX_64.factory_table()
+    ax, rx = AX_12A.factory_table(), RX_64.factory_table()
     assert {i: (a, b) for i, (a, b) in enumerate(zip(ax, rx, strict=True)) if a != b} == {
         0: (12, 64),
         4: (1, 34),
@@ -210,9 +212,9 @@ def test_moving_speed_must_be_positive(speed: float) -> None:
 
 
 def test_error_bits_have_descriptions() -> None:
-    assert dxl.error_words(0) == ""
-    assert dxl.error_words(0x24) == "overheating, overload"
-    assert all(dxl.error_words(bit) for bit in ServoError)
+    assert error_words(0) == ""
+    assert error_words(0x24) == "overheating, overload"
+    assert all(error_words(bit) for bit in ServoError)
     assert sorted(ServoError) == [1, 2, 4, 8, 16, 32, 64]
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from sextant.shared.servo import dynamixel
 from sextant.shared.servo import dynamixel2 as dxl
-from sextant.shared.servo.dynamixel import Packet, ServoError
 from sextant.shared.servo.dynamixel2 import Error, Instruction, PacketParser
+from sextant.shared.servo.servo_model import Packet, ServoError
 from sextant.shared.servo.stream_parser import Dropped
 
 WILD = settings(deadline=None, derandomize=True, max_examples=80)
@@ -293,7 +293,7 @@ def test_wrong_content_is_refused(call: object, message: str) -> None:
 
 def test_names_are_those_of_protocol_1() -> None:
     """Callers may use either module."""
-    shared = {"BROADCAST_ID", "MAX_ID", "OVERHEAD", "HEADER", "Instruction", "PacketParser", "encode", "error_words"}
+    shared = {"BROADCAST_ID", "MAX_ID", "OVERHEAD", "HEADER", "Instruction", "PacketParser", "encode"}
     shared |= {"ping", "read", "write", "reg_write", "action", "reset", "sync_write", "status"}
     for module in (dynamixel, dxl):
         assert shared <= vars(module).keys()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.shared.servo import dynamixel, dynamixel2, lx16a
-from sextant.shared.servo.dynamixel import Packet
+from sextant.shared.servo.servo_model import Packet
 from sextant.shared.servo.stream_parser import Dropped, StreamParser
 
 WILD = settings(deadline=None, derandomize=True, max_examples=60)

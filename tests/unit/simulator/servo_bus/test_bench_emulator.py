@@ -11,6 +11,7 @@ from sextant.services.simulator.servo_bus.bench_emulator import HORNS_DEG, Bench
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import PacketParser
+from sextant.shared.servo.servo_model import Packet
 
 PROFILE = load_profile("phantomx_mk2")
 MS = 1_000_000
@@ -20,7 +21,7 @@ def bench(*, fresh: bool = False, rate: int | None = None, seed: int = 2) -> Ben
     return BenchEmulator(PROFILE, np.random.default_rng(seed), fresh=fresh, rate=rate)
 
 
-def answers(made: BenchEmulator, packet: bytes, now_ns: int) -> list[dxl.Packet]:
+def answers(made: BenchEmulator, packet: bytes, now_ns: int) -> list[Packet]:
     return PacketParser().feed(b"".join(reply.data for reply in made.receive(packet, now_ns)))
 
 

@@ -18,7 +18,8 @@ from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import Message, Mode, Receiver, Refusal, Result
-from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser
+from sextant.shared.servo.dynamixel import Instruction, PacketParser
+from sextant.shared.servo.servo_model import Packet, Register
 
 WILD = settings(deadline=None, derandomize=True, max_examples=100)
 MS = 1_000_000
@@ -89,7 +90,7 @@ def in_session(torque: bool = True) -> Bench:
     return bench
 
 
-def writes(bench: Bench, register: dxl.Register) -> list[Packet]:
+def writes(bench: Bench, register: Register) -> list[Packet]:
     """Return the writes to a register by any kind of packet."""
     found = []
     for packet in bench.bus.heard:

@@ -16,7 +16,9 @@ from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, Repl
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Instruction, Packet, PacketParser, Register, ServoError
+from sextant.shared.servo.dynamixel import Instruction, PacketParser
+from sextant.shared.servo.models import RX_64
+from sextant.shared.servo.servo_model import Packet, Register, ServoError
 
 WILD = settings(deadline=None, derandomize=True)
 
@@ -97,7 +99,7 @@ def test_two_packets_in_one_transfer_are_answered_in_sequence() -> None:
 
 
 def test_servos_reply_only_at_their_baud_rate() -> None:
-    bank = ServoBank([1, 2], dxl.RX_64)
+    bank = ServoBank([1, 2], RX_64)
     assert ServoBusEmulator(bank).receive(dxl.ping(1), 0) == []
     bus = ServoBusEmulator(bank, BusTiming(baud_rate=57_600, usb_transaction_ns=0))
     (reply,) = bus.receive(dxl.ping(1), 0)

@@ -16,7 +16,8 @@ from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import GRID, BusFault
-from sextant.shared.servo.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError
+from sextant.shared.servo.dynamixel import PRESENT_STATE, PacketParser
+from sextant.shared.servo.servo_model import Packet, Register, ServoError
 from sextant.shared.wire.messages import FaultKind, FaultTarget
 
 WILD = settings(deadline=None, derandomize=True, max_examples=60)

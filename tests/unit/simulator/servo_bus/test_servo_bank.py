@@ -22,8 +22,10 @@ from sextant.services.simulator.servo_bus.servo_bank import (
 )
 from sextant.shared.robot.profiles import load_profile, profile_names
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Register, ServoError
+from sextant.shared.servo import models
+from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.protection import Protection
+from sextant.shared.servo.servo_model import Register, ServoError
 
 DT = 0.01
 AX_12A, RX_64 = (load_profile(name).servo for name in ("phantomx_mk2", "lotriet_rx64"))
@@ -219,7 +221,7 @@ def test_stiffness_follows_compliance_slope(slope: int, stiffness: float) -> Non
 
 
 def test_rx_64_stiffness_and_supply_match_14_8_v() -> None:
-    bank = powered(3, model=dxl.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
+    bank = powered(3, model=models.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
     command = step(bank)
     stall_torque = 5.3 * 14.8 / 18.5
     np.testing.assert_allclose(command.stiffness, stall_torque / (32 * dxl.TICK_RAD), rtol=1e-3)
@@ -269,7 +271,7 @@ def test_simulated_servos_have_torque_and_stiffness_of_profile(torque: float, st
 
 
 def test_every_servo_model_is_emulated() -> None:
-    assert set(MOTOR_AND_SUPPLY) == set(dxl.MODEL_NAMED)
+    assert set(MOTOR_AND_SUPPLY) == set(MODEL_NAMED)
 
 
 def test_rx_64_shuts_down_at_same_duty_as_ax_12a() -> None:
@@ -277,11 +279,11 @@ def test_rx_64_shuts_down_at_same_duty_as_ax_12a() -> None:
 
     Heat trips later, since its limit is 80 deg C.
     """
-    bank = powered(model=dxl.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
+    bank = powered(model=models.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
     assert run_until(bank, 4.24, ServoError.OVERLOAD, 3.0) == pytest.approx(1.5, abs=2 * DT)
     lasting = {
         name: run_until(powered(model=model, motor=motor), 0.6 * motor.stall_torque, ServoError.OVERHEATING, 300.0, 0.05)
-        for name, model, motor in (("AX-12A", dxl.AX_12A, AX_12A_MOTOR), ("RX-64", dxl.RX_64, RX_64_MOTOR))
+        for name, model, motor in (("AX-12A", models.AX_12A, AX_12A_MOTOR), ("RX-64", models.RX_64, RX_64_MOTOR))
     }
     assert 140.0 < lasting["AX-12A"] < lasting["RX-64"] < 300.0
 
