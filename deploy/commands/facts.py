@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @command()
 @option("--port", "also check this servo port, e.g. /dev/ttyUSB0", "DEVICE")
-@option("--camera", "also check this camera: openni2, realsense, oak, orbbec, or a folder", "DEVICE", default="")
+@option("--camera", "also check this camera: openni2, realsense, oak, orbbec, external, or a folder", "DEVICE", default="")
 @option(
     "--stranger",
     "only try to connect to this endpoint without authorisation, e.g. tls/hexapod.local:7448; publishes nothing",

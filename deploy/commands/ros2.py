@@ -28,6 +28,7 @@ _LOOK_S = 0.1
 @option("--gait", "gait for Twist messages", type=options.GAIT, default="tripod")
 @flag("--pictures", "also publish the small camera previews")
 @option("--pose-from", "topic of nav_msgs/Odometry for a perception with method=external", "TOPIC", default="")
+@option("--depth-from", "topic of depth images (sensor_msgs/Image) for a camera with device=external", "TOPIC", default="")
 def ros2(
     domain: int,
     ros_namespace: str,
@@ -37,6 +38,7 @@ def ros2(
     gait: "GaitName",
     pictures: bool,
     pose_from: str,
+    depth_from: str,
 ) -> int:
     """Run the robot as a ROS 2 node over rmw_zenoh, without ROS, see docs/ros2.md."""
     import threading
@@ -67,17 +69,19 @@ def ros2(
     ):
         try:
             node = Node(domain, wire.id, "sextant", ros_namespace)
-            if pose_from:
-                check_topic(pose_from)
+            taken = {"--pose-from": pose_from, "--depth-from": depth_from}
+            for topic in filter(None, taken.values()):
+                check_topic(topic)
         except ValueError as error:
             raise InputError(str(error)) from None
         published = (*PUBLISHED, *LATCHED, *(PICTURES if pictures else ()))
-        if pose_from and node.full(pose_from) in (node.full(topic) for topic, *_ in published):
-            raise InputError(f"--pose-from: a topic of another node expected, found {pose_from}, which this node publishes")
-        bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, pictures, pose_from)
+        for name, topic in taken.items():
+            if topic and node.full(topic) in (node.full(own) for own, *_ in published):
+                raise InputError(f"{name}: a topic of another node expected, found {topic}, which this node publishes")
+        bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, pictures, pose_from, depth_from)
         say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C stops it")
         say(f"publishes {', '.join(node.full(topic) for topic, *_ in published)}")
-        subscribed = [topic for topic, *_ in SUBSCRIBED] + ([pose_from] if pose_from else [])
+        subscribed = [topic for topic, *_ in SUBSCRIBED] + [topic for topic in taken.values() if topic]
         say(f"subscribes to {', '.join(map(node.full, subscribed))}")
         running = threading.Thread(target=run_live, args=(bridge, link, stop), kwargs={"role": endpoints.role}, name="ros2")
         running.start()

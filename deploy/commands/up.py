@@ -58,7 +58,10 @@ launch_options = options_of(
     flag("--no-page", "do not start the console, so there is no operator's page"),
     option("--robot", "profile by name, or path of a TOML file (default: the scenario's, or phantomx_mk2)", "NAME", default=""),
     option(
-        "--camera", "openni2, realsense, oak, orbbec, none, or a recorded folder (default: the profile's)", "DEVICE", default=""
+        "--camera",
+        "openni2, realsense, oak, orbbec, external, none, or a recorded folder (default: the profile's)",
+        "DEVICE",
+        default="",
     ),
     options.seed,
     option("--with", "also run these processes here, e.g. mapper,planner", "NAMES", into="also", multiple=True),

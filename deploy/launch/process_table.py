@@ -59,7 +59,7 @@ class Choices:
     recordings: str = "recordings"  # folder for the operator's recordings
     params: SystemParams = field(default_factory=SystemParams)
     plugins: Plugins = field(default_factory=Plugins)
-    camera: str = ""  # device that replaces the profile's: "openni2", "realsense", "oak", "orbbec", or a recorded folder
+    camera: str = ""  # device that replaces the profile's: one of CAMERA_DEVICES, or a recorded folder
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import numpy as np
 from sextant.deploy.ros2 import converted
 from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.clock import TimeOfDay
+from sextant.deploy.ros2.depth_images import CAMERA_INFO, IMAGE, info_topic, read_depth
 from sextant.deploy.ros2.lead import Lead
 from sextant.deploy.ros2.message_types import CdrError, TwistStamped, decode, encode
 from sextant.deploy.ros2.names import Node, attachment, gid
@@ -125,7 +126,7 @@ class Bridge:
         topics.TERRAIN,
         topics.PREVIEW,
     )
-    publishes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.MODE, topics.EXTERNAL_POSE)
+    publishes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.MODE, topics.EXTERNAL_POSE, topics.EXTERNAL_DEPTH)
 
     def __init__(
         self,
@@ -137,6 +138,7 @@ class Bridge:
         say: Callable[[str], None] = lambda _words: None,
         pictures: bool = False,
         pose_from: str = "",
+        depth_from: str = "",
     ):
         """Announce the node.
 
@@ -149,6 +151,7 @@ class Bridge:
             say: Receives log lines.
             pictures: Also forward the camera previews, which are made only for subscribers.
             pose_from: Topic of odometry that is forwarded to the robot as its external pose; empty: none.
+            depth_from: Topic of depth images that are forwarded to the robot's camera process; empty: none.
         """
         self.trigger = Every.hz(RATE_HZ)
         self.stages = Stages()
@@ -160,9 +163,11 @@ class Bridge:
         self._lead, self._wall, self._tell = lead, wall, say
         self._time = TimeOfDay()
         self._before: Odometry | None = None
-        if not pose_from:
-            self.publishes = tuple(topic for topic in self.publishes if topic is not topics.EXTERNAL_POSE)
+        unused = {topics.EXTERNAL_POSE: not pose_from, topics.EXTERNAL_DEPTH: not depth_from}
+        self.publishes = tuple(topic for topic in self.publishes if not unused.get(topic, False))
         self._poses: deque[bytes] = deque(maxlen=_WAITING)
+        self._depth: deque[bytes] = deque(maxlen=1)  # newest depth image, and the CameraInfo of its camera
+        self._info: deque[bytes] = deque(maxlen=1)
         self._twists: deque[tuple[str, bytes]] = deque(maxlen=_WAITING)
         wire.announce(node.token())
         published = (*PUBLISHED, *(PICTURES if pictures else ()))
@@ -180,10 +185,13 @@ class Bridge:
         for entity, (topic, kind, depth) in enumerate(SUBSCRIBED, 1 + len(published) + len(LATCHED)):
             wire.subscribe(node.key(topic, kind), self._receiver(kind))
             wire.announce(node.endpoint_token(entity, "MS", topic, kind, depth))
-        if pose_from:
-            wire.subscribe(node.key(pose_from, ODOMETRY), self._poses.append)
-            entity = 1 + len(published) + len(LATCHED) + len(SUBSCRIBED)
-            wire.announce(node.endpoint_token(entity, "MS", pose_from, ODOMETRY, 10))
+        others = (
+            *([(pose_from, ODOMETRY, self._poses)] if pose_from else []),
+            *([(depth_from, IMAGE, self._depth), (info_topic(depth_from), CAMERA_INFO, self._info)] if depth_from else []),
+        )
+        for entity, (topic, kind, waiting) in enumerate(others, 1 + len(published) + len(LATCHED) + len(SUBSCRIBED)):
+            wire.subscribe(node.key(topic, kind), waiting.append)
+            wire.announce(node.endpoint_token(entity, "MS", topic, kind, 10 if kind == ODOMETRY else 1))
 
     def status(self) -> str:
         """Return whether a Twist drives the robot, and the number of refused Twists."""
@@ -203,6 +211,8 @@ class Bridge:
             self._take_twist(*self._twists.popleft(), now)
         while self._poses:
             yield from self._take_pose(self._poses.popleft())
+        if self._depth:
+            yield from self._take_depth(self._depth.pop())
         yield from self._lead.beat(now, inbox.fresh(topics.ACTUATOR_STATE, _WORD_S))
         for words in self._lead.drain_words():
             self._tell(words)
@@ -273,6 +283,15 @@ class Bridge:
             yield read_pose(payload, self._time.robot_ns, self._profile.camera.T_body_camera)
         except CdrError as error:
             self._refuse("pose", error)
+
+    def _take_depth(self, payload: bytes) -> Iterator[Message]:
+        info = self._info[0] if self._info else None
+        try:
+            with self.stages("depth"):
+                frame = read_depth(payload, info, self._profile.camera.sensor.depth_scale, self._time.robot_ns)
+            yield frame
+        except CdrError as error:
+            self._refuse("depth image", error)
 
     def _refuse(self, what: str, error: CdrError) -> None:
         self.refused += 1

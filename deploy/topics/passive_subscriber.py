@@ -12,7 +12,7 @@ from sextant.shared.wire.codec import Label
 from sextant.shared.wire.topics import Delivery
 
 # These topics are large (a megabyte per frame), and a camera records colour only for subscribers: subscribe them by name only.
-ONLY_BY_NAME: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.PREVIEW, topics.FLOOR)
+ONLY_BY_NAME: tuple[AnyTopic, ...] = (topics.DEPTH, topics.EXTERNAL_DEPTH, topics.COLOR, topics.PREVIEW, topics.FLOOR)
 _QUEUE = 256  # most frames of an EVERY topic that may wait
 _SAME_CLOCK_NS = 10_000_000_000  # [ns] a frame whose age is negative or larger than this is stamped by another machine's clock
 _AHEAD_NS = 20_000_000  # [ns] a simulator stamps what it has computed, up to this time before it is due

@@ -24,7 +24,7 @@ _FLUSH_NS = 500_000_000  # [ns] maximum time between two chunks
 RESERVE_BYTES = 4_000_000  # disk space for the other files of a run, such as the report
 
 # Images would be nine tenths of a file. Colour and views of the floor are made only for subscribers.
-LEFT_OUT: frozenset[AnyTopic] = frozenset({topics.DEPTH, topics.COLOR, topics.FLOOR})
+LEFT_OUT: frozenset[AnyTopic] = frozenset({topics.DEPTH, topics.EXTERNAL_DEPTH, topics.COLOR, topics.FLOOR})
 # All scans are recorded, and they can reproduce the map. One map per second shows the result.
 THINNED_NS: Mapping[AnyTopic, int] = {topics.TERRAIN: 1_000_000_000}
 

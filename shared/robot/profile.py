@@ -251,7 +251,7 @@ class Stance:
         config.verify(self)
 
 
-CAMERA_DEVICES = ("openni2", "realsense", "oak", "orbbec", "none")  # besides the paths of recorded folders
+CAMERA_DEVICES = ("openni2", "realsense", "oak", "orbbec", "external", "none")  # besides the paths of recorded folders
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +271,8 @@ class Camera:
     depth_error: float = 0.0  # [1] relative error of the measured depth; positive: it is too large
     distortion: float = 0.0  # [1] radial distortion k1 of Brown's model
     color: bool = False  # whether it also sends colour images
-    # Driver on the robot: "openni2", "realsense", "oak", "orbbec", the path of a recorded folder, or "none".
+    # Driver on the robot: "openni2", "realsense", "oak", "orbbec", "external" (frames of another program on external/depth),
+    # the path of a recorded folder, or "none".
     device: str = "none"
 
     checks = (

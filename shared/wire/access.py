@@ -87,12 +87,13 @@ _LED = (t.VELOCITY, t.GOAL, t.POSTURE, t.CALIBRATION, t.MODE, t.STOP, t.RECORD)
 _SENSED = (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.IMU)
 _PERCEIVED = (t.BODY_POSE, t.CAMERA_ERRORS, t.FLOOR, t.SCAN)
 _OBEYED = (t.STEP_PLAN, t.MODE, t.STOP)
+_EXTERNAL = (t.EXTERNAL_POSE, t.EXTERNAL_DEPTH)  # of other programs
 _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, IMU, perception",
-        (*_SENSED, *_PERCEIVED, t.ODOMETRY, t.ACTUATOR_STATE, t.EXTERNAL_POSE, *_own("robot")),
-        (*_OBEYED, t.DEPTH, t.COLOR, t.IMU, t.ODOMETRY, t.ACTUATOR_STATE, t.EXTERNAL_POSE, t.SCAN_RECEIPT, *_PRESENCES),
+        (*_SENSED, *_PERCEIVED, t.ODOMETRY, t.ACTUATOR_STATE, *_EXTERNAL, *_own("robot")),
+        (*_OBEYED, t.DEPTH, t.COLOR, t.IMU, t.ODOMETRY, t.ACTUATOR_STATE, *_EXTERNAL, t.SCAN_RECEIPT, *_PRESENCES),
         (*_own("base"), *_own("console")),
     ),
     Role(

@@ -149,6 +149,22 @@ class DepthImage(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class ExternalDepth(Message):
+    """One depth frame of a camera that another program reads; any program on the robot -> camera.
+
+    The camera process publishes it as its own if its `device` is "external". The stamp is the time of the exposure on the
+    robot's clock, as that of ActuatorState.
+    """
+
+    depth: Annotated[NDArray[np.uint16], Dims("h", "w")]  # raw units, 0 = no return
+    depth_scale: float  # raw units per metre
+    fx: float  # [px] focal length along u
+    fy: float  # [px] focal length along v
+    cx: float  # [px] u of the optical axis
+    cy: float  # [px] v of the optical axis
+
+
+@dataclass(frozen=True, slots=True)
 class ColorImage(Message):
     """One colour frame, registered to the depth frame; camera -> perception.
 

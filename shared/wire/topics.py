@@ -86,6 +86,7 @@ ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CON
 ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.019, _CHANGES)
 BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.015)
 EXTERNAL_POSE = Topic("external/pose", m.ExternalPose, 30.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
+EXTERNAL_DEPTH = Topic("external/depth", m.ExternalDepth, 30.0, Delivery.LATEST, Lane.BULK, 4496 * _KIB, 0.008)
 CAMERA_ERRORS = Topic("perception/camera", m.CameraErrors, 2.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.003)
 FLOOR = Topic("perception/floor", m.FloorView, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.015)
 SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.018)
@@ -132,6 +133,7 @@ TOPICS: tuple[Topic[Any], ...] = (
     ACTUATOR_STATE,
     BODY_POSE,
     EXTERNAL_POSE,
+    EXTERNAL_DEPTH,
     CAMERA_ERRORS,
     FLOOR,
     SCAN,

@@ -1,5 +1,6 @@
 """The robot's own services, with emulated servos and a recorded folder as camera."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.servo.models import AX_12A
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import CameraState, DepthImage, Health
+from sextant.shared.wire.messages import CameraState, DepthImage, ExternalDepth, Health
 from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 from tests.support.commands import Command
@@ -30,6 +31,31 @@ def record(folder: Path) -> None:
         for k in range(4):
             noise = rng.normal(0, 3, (camera.intrinsics.height, camera.intrinsics.width))
             writer.add(1_000_000_000 + 33_333_000 * k, np.rint(rows + noise).astype(np.uint16))
+
+
+def test_frames_of_another_program_become_the_images_of_the_robot(tmp_path: Path) -> None:
+    endpoint, i = f"tcp/127.0.0.1:{free_port()}", PROFILE.camera.intrinsics
+    ids = PROFILE.servo_ids.ravel().tolist()
+    heard: list[bytes] = []
+    rng, rows = np.random.default_rng(0), np.linspace(2000.0, 600.0, i.height)[:, None]
+    with TcpBusServer(ServoBusEmulator(ServoBank(ids, AX_12A, AX_12A_MOTOR))) as servos:
+        words = ("--camera", "external", "--set", f"actuator.port={servos.url}", "--listen", endpoint)
+        with Command("up", "onboard", *words, cwd=tmp_path) as up:
+            up.wait_for(lambda: "starting" in up.text(), "the router")
+            with ZenohLink(Endpoints((endpoint,))) as link:
+                link.subscribe(topics.DEPTH, lambda _topic, frame: heard.append(frame))
+
+                def published() -> bool:
+                    depth = np.rint(rows + rng.normal(0, 3, (i.height, i.width))).astype(np.uint16)
+                    frame = ExternalDepth(time.monotonic_ns(), depth, 1000.0, i.fx, i.fy, i.cx, i.cy)
+                    link.send(topics.EXTERNAL_DEPTH, codec.encode(frame))
+                    return len(heard) > 5
+
+                up.wait_for(published, "images")
+            up.interrupt()
+            assert up.status() == 130
+    image = codec.decode(heard[-1], DepthImage)[0]
+    assert abs(float(image.depth.mean()) - 1300.0) < 5.0
 
 
 def test_onboard_services_publish_images_and_report_missing_camera(tmp_path: Path) -> None:

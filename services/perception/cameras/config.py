@@ -8,7 +8,7 @@ class Settings:
     """Device and parameters of the camera service."""
 
     device: str = (
-        ""  # "openni2", "realsense", "oak", "orbbec", or a recorded folder; empty for the device in the robot's profile
+        ""  # "openni2", "realsense", "oak", "orbbec", "external", or a recorded folder; empty for that of the robot's profile
     )
     loop: bool = True  # whether a recorded folder restarts at its end
     color_rate_hz: float = 5.0  # maximum rate of colour images, which are sent only with a subscriber

@@ -1,17 +1,26 @@
 """Cameras by their names in a profile."""
 
 import importlib
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 from sextant.services.perception.cameras.camera import Camera, CameraError
 from sextant.services.perception.cameras.config import Settings
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire.messages import ExternalDepth
 
+EXTERNAL = "external"  # another program reads the camera
 _DRIVERS = {"openni2": "openni", "realsense": "realsense", "oak": "oak", "orbbec": "orbbec"}  # device -> module
 
 
-def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: Callable[[], int]) -> Camera:
+def open_camera(
+    device: str,
+    profile: RobotProfile,
+    settings: Settings,
+    clock: Callable[[], int],
+    external: deque[ExternalDepth] | None = None,
+) -> Camera:
     """Open a camera by its name.
 
     Args:
@@ -19,6 +28,7 @@ def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: C
         profile: Profile of the robot with its camera.
         settings: Settings of the camera service.
         clock: [ns] clock that stamps the images.
+        external: Frames of another program, for the device "external".
 
     Raises:
         CameraError: It cannot be opened; the error gives the cause.
@@ -41,10 +51,14 @@ def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: C
             from sextant.services.perception.cameras.orbbec import Orbbec
 
             return Orbbec(camera, clock, delay_s)
+        case "external":
+            from sextant.services.perception.cameras.external import ExternalCamera
+
+            return ExternalCamera(camera, deque(maxlen=1) if external is None else external, clock)
         case "none":
             raise CameraError(
                 f"the profile {profile.name} names no camera",
-                f"set device to one of {', '.join(_DRIVERS)} in its [camera], or give --camera DIR",
+                f"set device to one of {', '.join((*_DRIVERS, EXTERNAL))} in its [camera], or give --camera DIR",
             )
     from sextant.services.perception.cameras.folder import FolderCamera
 

@@ -8,14 +8,14 @@ from typing import Self
 from sextant.services.perception.cameras.camera import Camera, Frame
 from sextant.services.perception.cameras.camera_supervisor import CameraSupervisor
 from sextant.services.perception.cameras.config import Settings
-from sextant.services.perception.cameras.devices import open_camera
+from sextant.services.perception.cameras.devices import EXTERNAL, open_camera
 from sextant.services.perception.cameras.gray_image import NO_GRAY, gray_image
 from sextant.services.perception.cameras.image_quality import ImageQualityCheck
 from sextant.services.perception.imu.reading import BodyImu, ImuReading
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, Message, Tick
+from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, ExternalDepth, Message, Tick
 
 _LOOKS = 4  # polls of the device per image period
 _STATE_NS = 250_000_000  # [ns] between two state messages without a change
@@ -32,7 +32,7 @@ class CameraService:
     """
 
     name = "camera"
-    subscribes: tuple[AnyTopic, ...] = ()
+    subscribes: tuple[AnyTopic, ...] = (topics.EXTERNAL_DEPTH,)
     publishes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE, topics.IMU)
 
     def __init__(
@@ -55,7 +55,10 @@ class CameraService:
         self.trigger = Every.hz(_LOOKS * camera.sensor.rate_hz)
         self.stages = Stages()
         self._settings, self._clock = settings, clock
-        opener = opener or (lambda: open_camera(device, profile, settings, clock))
+        self._external: deque[ExternalDepth] = deque(maxlen=1)  # newest frame of another program, until read
+        if device != EXTERNAL:
+            self.subscribes = ()
+        opener = opener or (lambda: open_camera(device, profile, settings, clock, self._external))
         self._supervisor = CameraSupervisor(device, opener, ImageQualityCheck(camera.sensor, (i.height, i.width)), clock)
         self._color_due_ns = clock()
         self._color_wanted = False
@@ -97,6 +100,7 @@ class CameraService:
             raise self._error
         if self._called_ns >= 0 and self._clock() - self._called_ns > _GIVE_UP_NS:
             raise RuntimeError(f"{self._trouble()}; this process ends, so that a new process can open the camera")
+        self._external.extend(inbox.drain(topics.EXTERNAL_DEPTH) if self.subscribes else ())
         self._color_wanted = tick.stamp_ns >= self._color_due_ns and inbox.wanted(topics.COLOR)
         frame = self._take()
         if frame is not None:

@@ -212,6 +212,7 @@ MISTAKES = [
     ("trials table run/report.json", "no finished run in run/report.json"),
     ("keys show keys", "no certificate.pem in keys"),
     ("keys new notes.txt", "notes.txt"),
+    ("topics ros2 --depth-frm /depth", "unknown option '--depth-frm'; did you mean '--depth-from'?"),
     ("drive", "a terminal in the foreground expected on standard input; over SSH start it with `ssh -t"),
     ("drive --gamepad gone", "gone cannot be opened: No such file or directory; plug the gamepad in"),
     ("drive --gait trott", "--gait: unknown 'trott'"),

@@ -32,6 +32,7 @@ from sextant.deploy.ros2.bridge import (
     read_pose,
     read_twist,
 )
+from sextant.deploy.ros2.depth_images import CAMERA_INFO, IMAGE
 from sextant.deploy.ros2.lead import Lead, Walk
 from sextant.deploy.ros2.message_types import CdrError, decode, encode, type_hash
 from sextant.deploy.ros2.names import Node, dds_name, gid
@@ -48,6 +49,7 @@ from sextant.shared.wire import codec, topics
 from sextant.shared.wire.codec import Timing
 from sextant.shared.wire.messages import (
     BodyPose,
+    ExternalDepth,
     ExternalPose,
     Message,
     Mode,
@@ -61,6 +63,7 @@ from sextant.shared.wire.messages import (
 from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints, ForeignLink, Router, ZenohLink
 from tests.support.commands import eventually
+from tests.support.ros_images import MM, image, info
 from tests.support.states import actuator_state
 
 MS, S = 1_000_000, 1_000_000_000
@@ -143,13 +146,13 @@ class MemoryWire:
 class Bench:
     """A bridge in single beats, with a simulated robot and simulated ROS nodes."""
 
-    def __init__(self, asked: bool = True, pictures: bool = False, pose_from: str = "") -> None:
+    def __init__(self, asked: bool = True, pictures: bool = False, pose_from: str = "", depth_from: str = "") -> None:
         self.wire, self.node, self.words = MemoryWire(asked=asked), Node(3, "abc", "sextant"), []
         self.words: list[str] = []
         self.now = 100 * S
         lead = Lead(Walk(0.1, 0.11))
         self.bridge = Bridge(
-            PROFILE, self.wire, self.node, lead, lambda: WALL + self.now, self.words.append, pictures, pose_from
+            PROFILE, self.wire, self.node, lead, lambda: WALL + self.now, self.words.append, pictures, pose_from, depth_from
         )
         self.inbox = Inbox(self.bridge.subscribes, self.bridge.stages)
 
@@ -327,9 +330,31 @@ def test_odometry_of_ros_becomes_the_external_pose() -> None:
         assert codec.decode(codec.encode(message), ExternalPose)[0].stamp_ns == message.stamp_ns
 
 
-def test_bridge_sends_no_pose_unless_asked() -> None:
-    assert topics.EXTERNAL_POSE not in Bench().bridge.publishes
+def test_bridge_sends_no_pose_and_no_depth_unless_asked() -> None:
+    assert not {topics.EXTERNAL_POSE, topics.EXTERNAL_DEPTH} & {*Bench().bridge.publishes}
     assert topics.EXTERNAL_POSE in Bench(pose_from="/o").bridge.publishes
+    assert topics.EXTERNAL_DEPTH in Bench(depth_from="/d").bridge.publishes
+
+
+def test_newest_depth_image_is_forwarded_with_the_lens_of_its_camera_info() -> None:
+    bench = Bench(pose_from="/slam/odometry", depth_from="/camera/depth/image_rect_raw")
+    receive = bench.wire.receivers[bench.node.key("/camera/depth/image_rect_raw", IMAGE)]
+    inform = bench.wire.receivers[bench.node.key("/camera/depth/camera_info", CAMERA_INFO)]
+    numbers = [int(token.split("/")[4]) for token in bench.wire.tokens if token.split("/")[5] != "NN"]
+    assert len(set(numbers)) == len(numbers), "each entity has its number"
+    bench.hear(*robot_messages(bench.now))
+    bench.beat()
+    receive(image())
+    assert not bench.beat()
+    assert "depth image refused: sensor_msgs/msg/CameraInfo: one expected" in bench.words[-1]
+    inform(info())
+    receive(image(MM + 1))
+    receive(image(stamp_ns=WALL + bench.now))
+    (found,) = bench.beat()
+    assert isinstance(found, ExternalDepth)
+    np.testing.assert_array_equal(found.depth, MM)
+    assert abs(found.stamp_ns - (bench.now - 20 * MS)) <= 20 * MS, "by the robot's clock"
+    assert not bench.beat(), "it is forwarded once"
 
 
 @pytest.mark.parametrize(

@@ -51,8 +51,8 @@ def test_role_may_publish_and_subscribe_as_its_processes_do(role: str, processes
     held = ROLE_NAMED[role]
     # Of clients on these machines; no process sends them.
     commands = {topics.POSTURE, topics.CALIBRATION} if topics.VELOCITY in written else set()
-    poses = {topics.EXTERNAL_POSE} if role in ("robot", "base") else set()  # of other programs
-    assert set(held.publishes) == written | commands | poses
+    others = {"robot": {topics.EXTERNAL_POSE, topics.EXTERNAL_DEPTH}, "base": {topics.EXTERNAL_POSE}}  # of other programs
+    assert set(held.publishes) == written | commands | others.get(role, set())
     assert set(held.subscribes) >= read
 
 
