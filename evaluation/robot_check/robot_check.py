@@ -17,7 +17,6 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profile import JOINTS, RobotProfile
 from sextant.shared.robot.reach import height_range, joint_room, least_support_margin, longest_stride
-from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.protection import Protection
 
 _PROTECTION = Protection()
@@ -171,13 +170,13 @@ def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
         )
         yield Limit(f"torque, {gait}", share, most, "of stall torque", share <= most, words)
     servo = profile.servo
-    by_slope = servo.stall_torque / (dxl.full_torque_ticks(servo.compliance_slope) * dxl.TICK_RAD)
-    ratio = servo.stiffness / by_slope
+    ratio = servo.stiffness / servo.nominal_stiffness
     words = (
-        f"servo.stiffness is {servo.stiffness:g} N m/rad, stall torque over compliance slope {by_slope:.3g} N m/rad; "
+        f"servo.stiffness is {servo.stiffness:g} N m/rad, that of an {servo.model} at its setting "
+        f"{servo.nominal_stiffness:.3g} N m/rad; "
         "a wrong one makes the body sag"
     )
-    yield Limit("stiffness", ratio, 1.0, "of torque over slope", abs(ratio - 1.0) <= _STIFFNESS_SHARE, words)
+    yield Limit("stiffness", ratio, 1.0, "of the model's", abs(ratio - 1.0) <= _STIFFNESS_SHARE, words)
 
 
 def _heat(profile: RobotProfile, load: Load) -> Limit:

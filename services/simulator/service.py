@@ -135,12 +135,14 @@ class Simulator:
             variation,
         )
         model, table = bank.model, bank.table
+        configured = {
+            **profile.servo.controller_settings,
+            **(model.joint_settings if model.eeprom_needs_torque_off else {}),  # else the actuator writes them
+            table.baud_rate: model.rate_code(BusTiming().baud_rate),
+        }
         for row, angle in enumerate(servo):
-            configured = {
-                table.baud_rate: model.rate_code(BusTiming().baud_rate),
-                table.goal_position: model.units.ticks(angle),
-            }
-            for register, value in {**profile.servo.controller_settings, **configured, table.torque_enable: 1}.items():
+            holding = {table.goal_position: model.units.ticks(angle), table.torque_enable: 1}
+            for register, value in (configured | holding).items():
                 bank.write(row, register.address, register.encode(value))
         return bank
 

@@ -8,6 +8,7 @@ horizontal. The tibia angle is relative to the straight continuation of the femu
 leg is stretched straight outward.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import date
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from sextant.shared.files import config
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import Register, ServoModel
 
@@ -32,7 +34,7 @@ MAX_CLEARANCE_M = 0.12  # [m] of a swinging foot over both ends of its path
 MIN_MARGIN_M = 0.005  # [m] of the centre of mass inside the polygon of standing feet
 MAX_TRIM_DEG = 20.0  # a larger trim means that the horn is on the wrong notch, or that the pose was wrong
 WARM_K = 12.0  # [K] below the temperature limit of the servos, from where the robot walks slower
-_SERVO_RANGE_DEG = 150.0  # in both directions from tick 512
+_MAX_SERVO_DEG = 180.0  # in both directions from the centre, of any model
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +86,8 @@ class Leg:
         *config.each("servo_signs", lambda sign: sign in (-1, 1), "a servo sign of 1 or -1"),
         *config.each(
             "servo_limits_deg",
-            lambda limits: -_SERVO_RANGE_DEG <= limits[0] < limits[1] <= _SERVO_RANGE_DEG,
-            "limits (coxa, femur, tibia) within -150 and 150 deg in rising order",
+            lambda limits: -_MAX_SERVO_DEG <= limits[0] < limits[1] <= _MAX_SERVO_DEG,
+            "limits (coxa, femur, tibia) within -180 and 180 deg in rising order",
         ),
     )
 
@@ -93,17 +95,33 @@ class Leg:
         config.verify(self)
 
 
+def _wrong_controller(model: str, compliance_slope: int, position_gain: int) -> Iterator[config.Misfit]:
+    """Yield the setting of the position controller that a servo of this model lacks, or does not have."""
+    if model not in MODEL_NAMED:
+        return
+    has_slope = bool(MODEL_NAMED[model].table.compliance)
+    needed, other = ("compliance_slope", "position_gain") if has_slope else ("position_gain", "compliance_slope")
+    values = {"compliance_slope": compliance_slope, "position_gain": position_gain}
+    needed_words, other_words = (name.replace("_", " ") for name in (needed, other))
+    if not values[needed]:
+        yield config.Misfit(needed, f"a {needed_words} of at least 1 for {model} servos", "0")
+    if values[other]:
+        expected = f"no {other_words} for {model} servos, which have a {needed_words},"
+        yield config.Misfit(other, expected, str(values[other]))
+
+
 @dataclass(frozen=True, slots=True)
 class Servo:
     """Data sheet of the servos; all 18 are of the same model."""
 
-    model: Literal["AX-12A", "AX-18A", "AX-12W", "RX-64"]  # of all servos
+    model: str  # of all servos, one of `sextant.shared.servo.models`
     stall_torque: float  # [N m] torque at standstill
     no_load_speed: float  # [rad/s] speed without torque
-    stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope
-    compliance_slope: int  # registers 28 and 29
+    stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope or position gain
     armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so tests vary it
     friction: float  # [N m] dry friction
+    compliance_slope: int = 0  # of AX and RX servos, registers 28 and 29; 0 for others
+    position_gain: int = 0  # proportional gain of the position controller of other servos
     temperature_limit: float = 70.0  # [deg C] at which a servo shuts itself down
     lock_eeprom: bool = True  # after setup, id, baud rate and limits are read-only until the servo loses power
 
@@ -111,7 +129,10 @@ class Servo:
         *config.each("stall_torque no_load_speed stiffness", lambda value: 0 < value <= 1e4, "more than 0 and at most 10000"),
         *config.each("armature friction", lambda value: 0 <= value <= 100, "0 to 100"),
         *config.each("temperature_limit", lambda limit: 40 <= limit <= 99, "40 to 99 deg C"),
-        *config.each("compliance_slope", lambda slope: 1 <= slope <= 254, "a compliance slope from 1 to 254"),
+        *config.each("model", lambda name: name in MODEL_NAMED, f"one of {', '.join(MODEL_NAMED)}"),
+        *config.each("compliance_slope", lambda slope: 0 <= slope <= 254, "a compliance slope from 1 to 254"),
+        *config.each("position_gain", lambda gain: 0 <= gain <= 16383, "a position gain from 1 to 16383"),
+        config.Check(("model", "compliance_slope", "position_gain"), _wrong_controller),
     )
 
     def __post_init__(self) -> None:
@@ -121,7 +142,17 @@ class Servo:
     def controller_settings(self) -> dict[Register, int]:
         """Settings of the servo's position controller, by register."""
         table = MODEL_NAMED[self.model].table
+        if table.position_gain is not None:
+            return {table.position_gain: self.position_gain}
         return dict.fromkeys(table.compliance[2:], self.compliance_slope)
+
+    @property
+    def nominal_stiffness(self) -> float:
+        """Stiffness [N m/rad] of the model's position controller at these settings, by its data sheet."""
+        model = MODEL_NAMED[self.model]
+        if model.table.position_gain is not None:
+            return self.stall_torque * self.position_gain * model.gain_stiffness
+        return self.stall_torque / (full_torque_ticks(self.compliance_slope) * model.units.tick_rad)
 
     @property
     def warm_temperature(self) -> float:
@@ -384,6 +415,22 @@ def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
             owners.setdefault(servo, place)
 
 
+def _beyond_servo(servo: Servo, legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
+    """Yield limits and ids that servos of the model do not have."""
+    if getattr(servo, "model", None) not in MODEL_NAMED:
+        return
+    model = MODEL_NAMED[servo.model]
+    most = math.degrees(model.units.range_rad)
+    for i, leg in enumerate(legs):
+        for k, limits in enumerate(getattr(leg, "servo_limits_deg", ())):
+            if max(map(abs, limits)) > most + 1e-6:
+                expected = f"limits within -{most:.0f} and {most:.0f} deg, the range of {servo.model} servos,"
+                yield config.Misfit(f"legs[{i}].servo_limits_deg[{k}]", expected, str(list(limits)))
+        for k, servo_id in enumerate(getattr(leg, "servo_ids", ())):
+            if servo_id > model.protocol.MAX_ID:
+                yield config.Misfit(f"legs[{i}].servo_ids[{k}]", f"an id up to {model.protocol.MAX_ID}", str(servo_id))
+
+
 def _calibrated_twice(calibration: tuple[Calibration, ...]) -> Iterator[config.Misfit]:
     """Yield legs with more than one calibration."""
     seen: set[str] = set()
@@ -420,6 +467,7 @@ class RobotProfile:
         *config.each("horn_offsets_deg", lambda offset: abs(offset) <= 360, "-360 to 360 deg"),
         config.Check(("legs",), _out_of_order),
         config.Check(("legs",), _ids_given_twice),
+        config.Check(("servo", "legs"), _beyond_servo),
         config.Check(("calibration",), _calibrated_twice),
     )
 
@@ -473,7 +521,8 @@ class RobotProfile:
         """
         servo = np.radians(np.array([leg.servo_limits_deg for leg in self.legs]))
         signs = self.servo_signs[..., None]
-        servo = np.clip(servo + signs * self.trims[..., None], *np.radians([-_SERVO_RANGE_DEG, _SERVO_RANGE_DEG]))
+        most = self.servo_model.units.range_rad
+        servo = np.clip(servo + signs * self.trims[..., None], -most, most)
         return np.sort(signs * servo - self.horn_offsets[..., None], axis=-1)
 
     @cached_property

@@ -11,7 +11,9 @@ from enum import IntEnum, StrEnum
 
 from sextant.shared.servo.servo_model import (
     ControlTable,
+    Kind,
     Packet,
+    Request,
     ServoError,
     Sign,
     Units,
@@ -26,6 +28,7 @@ BROADCAST_ID = 0xFE
 MAX_ID = 0xFD
 OVERHEAD = 6  # bytes of a packet besides its parameters: header, id, length, instruction or error, checksum
 PING_SIZE = 0
+ALERT = 0  # an answer carries all errors
 MAX_PARAMETERS = 0xFD  # the length byte counts the parameters and two more bytes
 BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
 ERRORS = tuple(map(ServoError, range(256)))  # by the error byte of a status packet
@@ -312,6 +315,30 @@ def answer_parser(max_parameters: int) -> "PacketParser":
 def instruction_parser() -> "PacketParser":
     """Return a parser of instruction packets, which also returns those with a wrong checksum."""
     return PacketParser(keep_broken=True)
+
+
+def request(packet: Packet) -> Request | None:
+    """Return what an instruction packet asks; None if no servo can execute it."""
+    given, everyone = packet.parameters, packet.servo_id == BROADCAST_ID
+    match packet.code:
+        case Instruction.PING:
+            return Request(Kind.PING, size=len(given))
+        case Instruction.READ if len(given) == 2:
+            return Request(Kind.READ, given[0], given[1])
+        case Instruction.WRITE if len(given) >= 2:
+            return Request(Kind.WRITE, given[0], data=given[1:])
+        case Instruction.REG_WRITE if len(given) >= 2:
+            return Request(Kind.REGISTER, given[0], data=given[1:])
+        case Instruction.ACTION if not given:
+            return Request(Kind.ACTION)
+        case Instruction.RESET if not given and not everyone:
+            return Request(Kind.RESET)
+        case Instruction.SYNC_WRITE if everyone and len(given) > 1 and given[1] and (len(given) - 2) % (given[1] + 1) == 0:
+            address, size = given[:2]
+            starts = range(2, len(given), size + 1)
+            rows = tuple((given[at], given[at + 1 : at + 1 + size]) for at in starts)
+            return Request(Kind.SYNC_WRITE, address, size, rows=rows)
+    return None
 
 
 def error_code(refusal: int, state: int) -> int:

@@ -11,7 +11,7 @@ Sources: ROBOTIS e-manual, Protocol 2.0 (https://emanual.robotis.com/docs/en/dxl
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 
-from sextant.shared.servo.servo_model import Packet, ServoError
+from sextant.shared.servo.servo_model import Kind, Packet, Request, ServoError
 from sextant.shared.servo.stream_parser import Dropped, StreamParser
 
 HEADER = b"\xff\xff\xfd\x00"
@@ -321,6 +321,48 @@ def answer_start(servo_id: int) -> bytes:
 def answer_parser(max_parameters: int) -> "PacketParser":
     """Return a parser of status packets with at most this many parameters."""
     return PacketParser(OVERHEAD - _HEAD + max_parameters + (max_parameters + 1) // len(_STUFFED))
+
+
+def instruction_parser() -> "PacketParser":
+    """Return a parser of instruction packets, which also returns those with a wrong checksum."""
+    return PacketParser(keep_broken=True, instructions=True)
+
+
+def request(packet: Packet) -> Request | None:
+    """Return what an instruction packet asks; None if no servo can execute it."""
+    given, everyone = packet.parameters, packet.servo_id == BROADCAST_ID
+    address, size = (int.from_bytes(given[at : at + 2], "little") for at in (0, 2))
+    match packet.code:
+        case Instruction.PING:
+            return Request(Kind.PING, size=len(given))
+        case Instruction.READ if len(given) == 4:
+            return Request(Kind.READ, address, size)
+        case Instruction.WRITE if len(given) >= 3:
+            return Request(Kind.WRITE, address, data=given[2:])
+        case Instruction.REG_WRITE if len(given) >= 3:
+            return Request(Kind.REGISTER, address, data=given[2:])
+        case Instruction.ACTION if not given:
+            return Request(Kind.ACTION)
+        case Instruction.FACTORY_RESET if len(given) == 1 and not everyone:
+            return Request(Kind.RESET)
+        case Instruction.REBOOT if not given:
+            return Request(Kind.REBOOT)
+        case Instruction.SYNC_WRITE if everyone and size and (len(given) - 4) % (size + 1) == 0:
+            rows = tuple((given[at], given[at + 1 : at + 1 + size]) for at in range(4, len(given), size + 1))
+            return Request(Kind.SYNC_WRITE, address, size, rows=rows)
+        case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if everyone and size and len(given) > 4:
+            kind = Kind.SYNC_READ if packet.code == Instruction.SYNC_READ else Kind.FAST_SYNC_READ
+            return Request(kind, address, size, rows=tuple((servo_id, b"") for servo_id in given[4:]))
+    return None
+
+
+_NUMBERS = {ServoError.RANGE: Error.DATA_RANGE, ServoError.ANGLE_LIMIT: Error.DATA_LIMIT, ServoError.CHECKSUM: Error.CRC}
+
+
+def error_code(refusal: int, state: int) -> int:
+    """Return the error byte, from the errors of an instruction and those of the servo's state, which only set the alert bit."""
+    number = next((number for error, number in _NUMBERS.items() if refusal & error), Error.INSTRUCTION if refusal else 0)
+    return number | (ALERT if state else 0)
 
 
 class PacketParser(StreamParser):

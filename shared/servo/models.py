@@ -1,12 +1,14 @@
 """Servo models that a profile may name.
 
-Sources: ROBOTIS e-manual, pages of the models.
+Sources: ROBOTIS e-manual and Feetech data sheets, pages of the models.
 """
 
+import math
+from dataclasses import replace
 from types import MappingProxyType
 
-from sextant.shared.servo import dynamixel
-from sextant.shared.servo.servo_model import ServoModel
+from sextant.shared.servo import dynamixel, dynamixel2, feetech, x_series
+from sextant.shared.servo.servo_model import ALL_OF_PROTOCOL_1, Recovery, ServoError, ServoModel, setting
 
 _NONE: MappingProxyType[str, int] = MappingProxyType({})
 _ANSWER_ALL = 2  # status return level
@@ -21,9 +23,94 @@ def _ax(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoMo
     return ServoModel(name, number, dynamixel, table, units, _AX_RATES, _AX_SETTINGS, no_load_rpm, factory)
 
 
+# Registers of the MX series that differ from those of the AX-12A.
+_MX_LOW = replace(dynamixel.CW_ANGLE_LIMIT, max=4095)
+_MX_HIGH = replace(dynamixel.CCW_ANGLE_LIMIT, max=4095, default=4095)
+_MX_GOAL = replace(dynamixel.GOAL_POSITION, max=4095, default=2048)
+_MX_P = setting("p gain", 28, 1, 32, 0, 254)
+_MX_GAINS = (setting("d gain", 26, 1, 0, 0, 254), setting("i gain", 27, 1, 0, 0, 254), _MX_P)
+_MX_CHANGED = {dynamixel.CW_ANGLE_LIMIT: _MX_LOW, dynamixel.CCW_ANGLE_LIMIT: _MX_HIGH, dynamixel.GOAL_POSITION: _MX_GOAL}
+_MX_SPEED = 0.114 * 2.0 * math.pi / 60.0  # [rad/s] per tick
+MX_TABLE = replace(
+    dynamixel.TABLE,
+    registers=(
+        *(
+            _MX_CHANGED.get(register, register)
+            for register in dynamixel.REGISTERS
+            if register not in dynamixel.TABLE.compliance
+        ),
+        *_MX_GAINS,
+    ),
+    low_limit=_MX_LOW,
+    high_limit=_MX_HIGH,
+    goal_position=_MX_GOAL,
+    compliance=(),
+    position_gain=_MX_P,
+)
+MX_UNITS = replace(dynamixel.UNITS, centre=2048, max_position=4095, tick_rad=2.0 * math.pi / 4096, speed_rad_s=_MX_SPEED)
+
+
+def _mx(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoModel:
+    """Return a model of the MX series with the firmware for Protocol 1.0."""
+    # The duty cycle is P / 8 per tick of position error, full at 1023.
+    return replace(
+        _ax(name, number, no_load_rpm, baud_rate=34, temperature_limit=80, **overrides),
+        table=MX_TABLE,
+        units=MX_UNITS,
+        gain_stiffness=1.0 / (8.0 * 1023.0 * MX_UNITS.tick_rad),
+    )
+
+
 AX_12A = _ax("AX-12A", 12, 59.0)
 AX_18A = _ax("AX-18A", 18, 97.0, temperature_limit=75, max_torque=983)
 AX_12W = _ax("AX-12W", 300, 54.0)
 RX_64 = _ax("RX-64", 64, 64.0, baud_rate=34, temperature_limit=80, max_voltage=190)
-MODELS = (AX_12A, AX_18A, AX_12W, RX_64)
+RX_28 = _ax("RX-28", 28, 85.0, baud_rate=34, temperature_limit=80, max_voltage=160)
+MX_28 = _mx("MX-28", 29, 67.0, max_voltage=160)
+MX_64 = _mx("MX-64", 310, 78.0, max_voltage=240)
+
+STS3215 = ServoModel(
+    "STS3215",
+    777,
+    feetech,
+    feetech.TABLE,
+    feetech.UNITS,
+    MappingProxyType(feetech.RATES),
+    # The return delay has no function in this servo, so it can tell a servo that is set up from a new one.
+    MappingProxyType({feetech.TABLE.status_return_level.name: 1, feetech.TABLE.return_delay.name: 1}),
+    no_load_rpm=45.0,  # 0.222 s for 60 deg, at 12 V
+    overrides=_NONE,
+    recovery=Recovery.TORQUE_ENABLE,
+    errors=ServoError.INPUT_VOLTAGE | ServoError.OVERHEATING | ServoError.OVERLOAD | ServoError.HARDWARE,
+    gain_stiffness=17.8 / 2.94 / 32,  # identified 17.8 N m/rad at a gain of 32 (Open Duck Mini), with 2.94 N m of stall torque
+    unlocks=True,
+)
+
+
+def _x430(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0, **overrides: int) -> ServoModel:
+    """Return a model of the X series; with a stall current [A] if it measures its current instead of its load."""
+    # The PWM is P / 128 per tick of position error.
+    units = x_series.UNITS
+    return ServoModel(
+        name,
+        number,
+        dynamixel2,
+        x_series.TABLE,
+        replace(units, load=x_series.CURRENT_A / stall_current) if stall_current else units,
+        MappingProxyType(x_series.RATES),
+        MappingProxyType(x_series.SETTINGS),
+        no_load_rpm,
+        MappingProxyType({register.replace("_", " "): value for register, value in overrides.items()}),
+        recovery=Recovery.REBOOT,
+        errors=ALL_OF_PROTOCOL_1 | ServoError.HARDWARE,
+        eeprom_needs_torque_off=True,
+        gain_stiffness=1.0 / (128.0 * x_series.MAX_PWM * units.tick_rad),
+    )
+
+
+XL430_W250 = _x430("XL430-W250", 1060, 61.0, position_p_gain=640)
+XC430_W150 = _x430("XC430-W150", 1070, 106.0, temperature_limit=80, max_voltage=160, position_p_gain=460)
+XC430_W240 = _x430("XC430-W240", 1080, 70.0, temperature_limit=80, max_voltage=160, position_p_gain=700)
+XM430_W350 = _x430("XM430-W350", 1020, 57.0, 2.3, temperature_limit=80, max_voltage=160, min_voltage=95)
+MODELS = (AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350, STS3215)
 MODEL_NAMED = MappingProxyType({model.name: model for model in MODELS})

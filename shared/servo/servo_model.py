@@ -8,7 +8,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from enum import IntFlag, StrEnum
+from enum import Enum, IntFlag, StrEnum, auto
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -65,8 +65,10 @@ class ServoError(IntFlag):
     CHECKSUM = 1 << 4
     OVERLOAD = 1 << 5
     INSTRUCTION = 1 << 6
+    HARDWARE = 1 << 7  # no bit of Protocol 1.0: a fault of the servo itself
 
 
+ALL_OF_PROTOCOL_1 = ServoError(0x7F)
 REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
 _ERROR_WORDS = {
     ServoError.INPUT_VOLTAGE: "input voltage outside its limits",
@@ -76,6 +78,7 @@ _ERROR_WORDS = {
     ServoError.CHECKSUM: "checksum of the instruction was wrong",
     ServoError.OVERLOAD: "overload",
     ServoError.INSTRUCTION: "undefined instruction, or action without registered write",
+    ServoError.HARDWARE: "fault of its sensor or electronics",
 }
 
 
@@ -92,6 +95,31 @@ class Packet(NamedTuple):
     parameters: bytes
     end: int = 0  # stream offset after its checksum, counted since the parser was made
     intact: bool = True  # False only from a parser that keeps packets with a wrong checksum
+
+
+class Kind(Enum):
+    """Kind of an instruction to servos."""
+
+    PING = auto()
+    READ = auto()
+    WRITE = auto()
+    REGISTER = auto()  # a write that waits for `ACTION`
+    ACTION = auto()
+    RESET = auto()  # to the factory values
+    REBOOT = auto()
+    SYNC_WRITE = auto()
+    SYNC_READ = auto()
+    FAST_SYNC_READ = auto()  # with one answer of all servos
+
+
+class Request(NamedTuple):
+    """Instruction that a servo can execute."""
+
+    kind: Kind
+    address: int = 0
+    size: int = 0  # [bytes] of a read, or of each row
+    data: bytes = b""
+    rows: tuple[tuple[int, bytes], ...] = ()  # id and data; of a sync read without data
 
 
 class Parser(Protocol):
@@ -118,6 +146,7 @@ class BusProtocol(Protocol):
     OVERHEAD: int  # [bytes] of an answer besides its parameters
     PING_SIZE: int  # [bytes] of parameters in the answer to a ping
     ERRORS: tuple[ServoError, ...]  # errors by the code of an answer
+    ALERT: int  # bit of that code for an error in the hardware error register; 0 where there is none
 
     def answer_start(self, servo_id: int) -> bytes:
         """Return the bytes with which an answer of a servo begins."""
@@ -142,6 +171,9 @@ class BusProtocol(Protocol):
 
     def instruction_parser(self) -> Parser:
         """Return a parser of instructions, which also returns those with a wrong checksum."""
+
+    def request(self, packet: Packet) -> Request | None:
+        """Return what an instruction asks; None if no servo can execute it."""
 
     def status(self, servo_id: int, error: int, parameters: bytes = b"") -> bytes:
         """Encode an answer."""
@@ -179,8 +211,8 @@ class Units:
 
     @property
     def range_rad(self) -> float:
-        """Largest servo angle [rad] in both directions."""
-        return self.tick_rad * min(self.centre, self.max_position + 1 - self.centre)
+        """Largest servo angle [rad] in both directions from the centre."""
+        return self.tick_rad * self.max_position / 2
 
     def angle(self, ticks: float) -> float:
         """Return the servo angle [rad] of a position register."""
@@ -329,6 +361,24 @@ class Block:
         return values if self._is_ordered else tuple(values[k] for k in self._order)
 
 
+# Bits of the hardware error register of Dynamixel servos with Protocol 2.0.
+_HARDWARE_ERRORS = {
+    1 << 0: ServoError.INPUT_VOLTAGE,
+    1 << 2: ServoError.OVERHEATING,
+    1 << 3: ServoError.HARDWARE,  # encoder
+    1 << 4: ServoError.HARDWARE,  # electrical shock
+    1 << 5: ServoError.OVERLOAD,
+}
+
+
+class Recovery(StrEnum):
+    """Way to end the shutdown of a servo."""
+
+    TORQUE_LIMIT = "write the torque limit"
+    TORQUE_ENABLE = "turn torque off and on"
+    REBOOT = "reboot"
+
+
 @dataclass(frozen=True, eq=False)
 class ServoModel:
     """Servo model: protocol, control table and units, and the factory values that differ from the table."""
@@ -342,13 +392,27 @@ class ServoModel:
     settings: Mapping[str, int]  # register name -> value that a joint needs; the last one identifies a new servo
     no_load_rpm: float  # [rpm] in joint mode, at the highest voltage of the data sheet
     overrides: Mapping[str, int]  # register name -> factory value, where it differs from the table
+    recovery: Recovery = Recovery.TORQUE_LIMIT
+    errors: ServoError = ALL_OF_PROTOCOL_1  # all that its answers can report
     gain_stiffness: float = 0.0  # [1/rad] share of the stall torque per position error and unit of the position gain
+    eeprom_needs_torque_off: bool = False
     unlocks: bool = False  # whether writing 0 ends the lock; otherwise only a power cycle does
 
     @property
     def no_load_speed(self) -> float:
         """No-load speed [rad/s] in joint mode."""
         return self.no_load_rpm * 2.0 * math.pi / 60.0
+
+    def hardware_errors(self, value: int) -> ServoError:
+        """Return the errors in the hardware error register."""
+        found = ServoError.NONE
+        for bit, error in _HARDWARE_ERRORS.items():
+            found |= error if value & bit else ServoError.NONE
+        return found
+
+    def hardware_error_code(self, error: int) -> int:
+        """Return the hardware error register of errors; the inverse of `hardware_errors`."""
+        return sum(bit for bit, meaning in _HARDWARE_ERRORS.items() if error & meaning and bit != 1 << 4)
 
     @cached_property
     def joint_settings(self) -> dict[Register, int]:

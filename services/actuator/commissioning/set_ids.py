@@ -29,8 +29,8 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBu
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import ServoModel
 
-ALL_IDS = range(254)  # of all protocols
 _FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
+_RATE_TOLERANCE = 0.03  # [1] relative difference of two rates up to which bytes are received correctly
 _LEAVE = "q"
 _NO_ANSWER_ADVICE = (
     "check their power and the cable at the adapter, or try --echo; a bridge does not pass scans on, see docs/bridge.md"
@@ -88,10 +88,18 @@ class Line:
             self._bus = None
 
 
+def all_ids(model: ServoModel) -> range:
+    """Return the ids that servos of a model can have."""
+    return range(model.protocol.MAX_ID + 1)
+
+
 def usual_rates(model: ServoModel) -> tuple[int, ...]:
     """Return the baud rates [1/s] at which servos of a model may answer: the robot's own, and those of factories."""
-    factory = model.rates[model.default(model.table.baud_rate)]
-    return tuple(dict.fromkeys((BAUD_RATE, factory, *_FACTORY_RATES)))
+    rates = [BAUD_RATE]
+    for rate in (model.rates[model.default(model.table.baud_rate)], *_FACTORY_RATES):
+        if all(abs(rate - other) > _RATE_TOLERANCE * other for other in rates):  # else they reach the same servos
+            rates.append(rate)
+    return tuple(rates)
 
 
 class Found(NamedTuple):
@@ -104,20 +112,20 @@ class Found(NamedTuple):
 # ---------------------------------------------------------------------------------------------------------------- scan
 
 
-def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None = None) -> list[Found]:
+def scan(line: Line, ids: Iterable[int] | None = None, known: Collection[int] | None = None) -> list[Found]:
     """Return all servos that answer at one of the ids and rates.
 
     An unused id costs a timeout per rate.
 
     Args:
         line: The port.
-        ids: Ids to scan.
+        ids: Ids to scan, all of the protocol by default.
         known: Ids to try three times before they count as silent; None means all of the robot's.
     """
-    asked = list(ids)
-    found = []
+    found, asked = [], list(ids or ())
     for rate in line.rates:
         bus = line.at(rate)
+        asked = list(all_ids(bus.model)) if ids is None else asked
         for i in asked:
             heard = bus.ping_responses(i)
             if not heard.silent or i in (bus.names if known is None else known):
@@ -158,17 +166,17 @@ def holding(found: Sequence[Found], profile: RobotProfile) -> str:
 
 
 def verdict(
-    found: Sequence[Found], profile: RobotProfile, asked: Collection[int] = ALL_IDS, *, each: bool = True
+    found: Sequence[Found], profile: RobotProfile, asked: Collection[int] | None = None, *, each: bool = True
 ) -> list[Problem]:
     """Return problems that keep these from being the robot's servos, with remedies.
 
     Args:
         found: Servos that answered.
         profile: The robot.
-        asked: Scanned ids: only these can be missing.
+        asked: Scanned ids, all by default: only these can be missing.
         each: Name each missing servo even if all are missing; otherwise that is one problem.
     """
-    names = {i: name for i, name in profile.servo_names.items() if i in asked}
+    names = {i: name for i, name in profile.servo_names.items() if asked is None or i in asked}
     heard = {seen.servo_id: seen for rate, seen in found if rate == BAUD_RATE}
     wrong = problems(names, heard, profile.servo_model)
     missing, unanswered = [i for i in names if i not in heard], []
@@ -350,7 +358,7 @@ def _new_one(
     if not new:
         operator.say("searching all ids for the new servo ...")
         known = {FACTORY_ID, *profile.servo_names}
-        new = scan(line, (i for i in ALL_IDS if i not in known))
+        new = scan(line, (i for i in all_ids(profile.servo_model) if i not in known))
     if len(new) == 1:
         return new[0]
     if new:
@@ -402,6 +410,9 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
     if table.lock and seen[table.lock] and not wanted.unlocks:
         operator.say(f"servo {old} is locked, as after use by the actuator: switch its power off and on, then try again")
         return None
+    if table.lock and wanted.unlocks and not ensure(bus, old, table.lock, 0):
+        operator.say(f"servo {old} does not unlock its EEPROM; switch its power off and on, then try again")
+        return None
     safe = [(setting.register, setting.value) for setting in wrong_settings(seen, wanted, _reach(profile)[target])]
     refused = [register.name for register, value in safe if not ensure(bus, old, register, value)]
     if not refused:
@@ -410,6 +421,8 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
         refused = [
             register.name for register, value in wanted.joint_settings.items() if not ensure(bus, target, register, value)
         ]
+    if table.lock and wanted.unlocks and not refused and not ensure(bus, target, table.lock, 1):
+        refused.append(table.lock.name)
     fast = wanted.rate_code(BAUD_RATE)
     if not refused and seen[table.baud_rate] != fast:  # last, because it then no longer answers at this rate
         bus.write_unacknowledged(target, table.baud_rate, fast)

@@ -103,6 +103,7 @@ class BusResponse(StrEnum):
     ECHO = "returns the request itself: the adapter echoes; turn the echo setting on"
 
 
+_LOCKED = "its EEPROM may be locked until its power is cycled"
 SET_ID = "run `sextant servos set-id` with this servo alone on the bus"
 _PROTECTION = int(ServoError.OVERLOAD | ServoError.OVERHEATING)
 _REMEDIES = {
@@ -397,7 +398,8 @@ def prepare(bus: Bus, seen: ServoScan, lock: bool) -> str:
     locked = ((model.table.lock, 1),) if lock and model.table.lock else ()
     for register, value in (*model.joint_settings.items(), *locked):
         if seen[register] != value and not ensure(bus, seen.servo_id, register, value):
-            return f"does not accept {register.name} {value}; its EEPROM may be locked until its power is cycled"
+            why = "it may have torque: `sextant servos off`" if model.eeprom_needs_torque_off else _LOCKED
+            return f"does not accept {register.name} {value}; {why}"
     return ""
 
 

@@ -27,6 +27,7 @@ from sextant.services.actuator.servo_bus.serial_port import (
     gone,
     open_port,
 )
+from sextant.shared.servo import dynamixel2
 from sextant.shared.servo.models import AX_12A
 from sextant.shared.servo.servo_model import REFUSAL, Packet, Register, ServoError, ServoModel, Units
 
@@ -166,6 +167,7 @@ class ServoBus:
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._asked_ns = [0] * n  # when it was last requested
         self._told_ns = 0  # when goals were last sent
+        self._hardware_errors: dict[int, ServoError] = {}  # index -> errors of a servo that alerts
         self._backoff = [1] * n  # read every this many turns
         self._skips = [0] * n  # turns left to skip
 
@@ -241,6 +243,10 @@ class ServoBus:
         """
         answer = self._ask(self._protocol.write(servo_id, register.address, register.encode(value)), servo_id, 0)
         return answer is not None
+
+    def reboot(self, servo_id: int) -> None:
+        """Restart a servo with Protocol 2.0, which loses its torque and is silent meanwhile."""
+        self._ask(dynamixel2.reboot(servo_id), servo_id, 0)
 
     def write_unacknowledged(self, servo_id: int, register: Register, value: int) -> None:
         """Write a register without an expected answer, or with one of another id."""
@@ -456,6 +462,10 @@ class ServoBus:
     def _believed(self, index: int, stamp_ns: int, answer: Packet, now_ns: int) -> ServoReading | None:
         """Return the reading in an answer, or None if it is not plausible yet."""
         error = self._protocol.ERRORS[answer.code]
+        if answer.code & self._protocol.ALERT:
+            error |= self._read_hardware_errors(index, now_ns)
+        elif self._hardware_errors:
+            self._hardware_errors.pop(index, None)
         state = self._decode(stamp_ns, self._table.state.unpack(answer.parameters), int(error))
         refused = self._validator.refusals
         believed = self._validator.accepts(index, state, self._is_noisy(index, now_ns))
@@ -466,6 +476,17 @@ class ServoBus:
         self._loss.note(now_ns, False)
         self.errors[index] = state.error
         return reading(index, answer.servo_id, self._told_ns, state, error, self._units)
+
+    def _read_hardware_errors(self, index: int, now_ns: int) -> ServoError:
+        """Return the errors behind the alert of a servo, read once for as long as it lasts."""
+        register = self._table.hardware_error
+        if index not in self._hardware_errors and register is not None:
+            request = self._protocol.read(self.servo_ids[index], register.address, register.size)
+            end_ns = now_ns + self._line.reply_timeout_ns
+            answer = self._line.exchange(request, self.servo_ids[index], register.size, end_ns, now_ns)
+            if answer is not None and answer.parameters:
+                self._hardware_errors[index] = self.model.hardware_errors(int.from_bytes(answer.parameters, "little"))
+        return self._hardware_errors.get(index, ServoError.HARDWARE)
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer with `size` parameters, or None.

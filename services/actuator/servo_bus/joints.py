@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
+from sextant.services.actuator.servo_bus import shutdown
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
 from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Servos, connect
@@ -292,8 +293,7 @@ class Joints:
     def _restore_torque_limit(self, index: int) -> None:
         """Give a servo its full torque limit, if it acknowledges its goal."""
         servo_id, goal = self._bus.servo_ids[index], self._goal_ticks(self.goals)[index]
-        acknowledged = self._bus.write(servo_id, self._table.goal_position, int(goal))
-        if acknowledged and self._bus.write(servo_id, self._table.torque_limit, int(self._max_torque[index])):
+        if shutdown.end(self._bus, servo_id, int(goal), int(self._max_torque[index])):
             self.strength[index] = 1.0
 
     def _call_bus(self, call: Callable[[], object]) -> None:

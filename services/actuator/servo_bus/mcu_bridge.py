@@ -220,6 +220,10 @@ class Bridge:
         """
         return self._registers.write(servo_id, register, value)
 
+    def reboot(self, servo_id: int) -> None:
+        """Restart a servo; the bridge passes it on."""
+        self._registers.reboot(servo_id)
+
     # --------------------------------------------------------------------------------------------------- in the loop
 
     def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:

@@ -20,7 +20,6 @@ _MAX_MOTION_RAD = math.radians(5.87)  # [rad] ... plus the maximum motion of the
 _VOLTAGE_LEAP_V = 0.8  # [V] between two readings of the common supply, beyond which one is doubted
 _TEMPERATURE_LEAP_K = 2.0  # [K] between two readings, beyond which one is doubted ...
 _WARMING_RATE_K_S = 2.0  # [K/s] ... plus this in the time between them: a stalled motor warms by 1 K/s
-_UNKNOWN_BITS = 0x80  # undefined bit of the error byte
 # Leaps of load and of possible speeds are normal, and are doubted only while answers get lost or broken.
 _LOAD_LEAP, _SPEED_LEAP_RAD_S = 0.4, 2.5  # [1] of the stall torque, [rad/s]
 _MIN_MOTION_RAD = math.radians(0.88)  # [rad] of motion by the measured speed, beyond which an unchanged reading is doubted
@@ -91,6 +90,7 @@ class ReadingValidator:
         self._highest: list[int] = []
         units = self._units = model.units
         self._max_speed = _MAX_SPEED_RATIO * model.no_load_speed  # [rad/s]
+        self._unknown_errors = ~int(model.errors)
         self._speed_range = units.speed_sign.largest(model.table.present_speed.size)  # [ticks]
         self._load_range = units.load_sign.largest(model.table.present_load.size)  # [ticks]
         self._leap = round(_LEAP_RAD / units.tick_rad)  # [ticks]
@@ -151,7 +151,7 @@ class ReadingValidator:
         """Return why a reading is doubtful, or None."""
         units = self._units
         too_large = abs(state.speed) > self._speed_range or abs(state.load) > self._load_range
-        if too_large or not 0 <= state.position <= units.max_position or state.error & _UNKNOWN_BITS:
+        if too_large or not 0 <= state.position <= units.max_position or state.error & self._unknown_errors:
             return Implausibility.RANGE
         before = self._accepted[index]
         if before is None:

@@ -6,6 +6,7 @@ return pending writes. A host that is ahead of the physics, as in lockstep, ther
 joints move at the right time.
 """
 
+import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -13,13 +14,23 @@ from functools import lru_cache
 
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, HostLink, Outbox, Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
-from sextant.shared.servo.dynamixel import Instruction
-from sextant.shared.servo.servo_model import Access, Block, ControlTable, Packet, Register, ServoError, error_words
+from sextant.shared.servo import dynamixel2
+from sextant.shared.servo.servo_model import (
+    Access,
+    Block,
+    ControlTable,
+    Kind,
+    Packet,
+    Register,
+    Request,
+    ServoError,
+    error_words,
+)
 
 _SEC = 1_000_000_000
 _INTER_BYTE_NS = 100_000_000  # [ns] gap between bytes after which a servo discards a packet (AX-12 user's manual)
-_ANSWER_ALL, _ANSWER_READ = 2, 1  # status return levels
 _BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
+_REBOOT_NS = 300_000_000  # [ns] of silence; assumed, because no manual states it
 _RETURN_DELAY_NS = 2_000  # [ns] per tick of the return delay register, of all families
 
 
@@ -88,6 +99,7 @@ class ServoBusEmulator(AnswersOnly):
         self._changes: deque[_Change] = deque()
         self._registered: dict[int, tuple[int, bytes]] = {}  # row -> address and data of REG_WRITE that wait for ACTION
         self._listeners: dict[int, list[int]] = {}  # id -> rows
+        self._deaf_until_ns: dict[int, int] = {}  # row -> [ns] end of its reboot
         self._cut_off: frozenset[int] = frozenset()  # rows of disconnected servos
         self._find_listeners()
 
@@ -103,6 +115,8 @@ class ServoBusEmulator(AnswersOnly):
         """
         replies = []
         self.overhear(data, now_ns)
+        if self._deaf_until_ns:
+            self._end_reboots(now_ns)
         if self._parser.pending and now_ns - self._last_ns > _INTER_BYTE_NS:
             self._parser.flush()  # servos discard an incomplete packet
         self._last_ns = now_ns
@@ -151,29 +165,36 @@ class ServoBusEmulator(AnswersOnly):
             self._refuse(ServoError.CHECKSUM)
             return () if broadcast else self._answer(rows, time_ns, ServoError.CHECKSUM)
         self.counts.instructions[packet.code] += 1
-        parameters = packet.parameters
-        match packet.code:
-            case Instruction.PING:
-                error = self._refuse(ServoError.INSTRUCTION if parameters else ServoError.NONE)
+        request = self._protocol.request(packet)
+        if request is None:
+            error = self._refuse(ServoError.INSTRUCTION)
+            return () if broadcast else self._answer(rows, time_ns, error)
+        match request.kind:
+            case Kind.PING:
+                error = self._refuse(ServoError.INSTRUCTION if request.size else ServoError.NONE)
                 return self._answer(rows, time_ns, error, always=True)
-            case Instruction.READ if len(parameters) == 2:
-                return () if broadcast else self._read(rows, time_ns, *parameters)
-            case Instruction.WRITE if len(parameters) >= 2:
-                error = self._write(rows, time_ns, parameters[0], parameters[1:])
-            case Instruction.REG_WRITE if len(parameters) >= 2:
-                error = self._register(rows, time_ns, parameters[0], parameters[1:])
-            case Instruction.ACTION if not parameters:
+            case Kind.READ:
+                return () if broadcast else self._read(rows, time_ns, request.address, request.size)
+            case Kind.WRITE:
+                error = self._write(rows, time_ns, request.address, request.data)
+            case Kind.REGISTER:
+                error = self._register(rows, time_ns, request.address, request.data)
+            case Kind.ACTION:
                 error = self._action(rows, time_ns, broadcast)
-            case Instruction.RESET if not parameters and not broadcast:
+            case Kind.RESET:
                 # The response is sent with the old id, where the caller expects it.
                 replies = self._answer(rows, time_ns, ServoError.NONE)
                 self._change(time_ns, 0, {row: self._factory(row) for row in rows})
                 return replies
-            case Instruction.SYNC_WRITE if broadcast:
-                self._sync_write(time_ns, parameters)
+            case Kind.REBOOT:
+                replies = [] if broadcast else self._answer(rows, time_ns, ServoError.NONE)
+                self._reboot(rows, time_ns)
+                return replies
+            case Kind.SYNC_WRITE:
+                self._sync_write(time_ns, request)
                 return ()
-            case _:
-                error = self._refuse(ServoError.INSTRUCTION)
+            case Kind.SYNC_READ | Kind.FAST_SYNC_READ:
+                return self._sync_read(time_ns, request)
         return () if broadcast else self._answer(rows, time_ns, error)
 
     def _read(self, rows: list[int], time_ns: int, address: int, size: int) -> list[Reply]:
@@ -210,22 +231,54 @@ class ServoBusEmulator(AnswersOnly):
         self._change(time_ns, self._registers.registered.address, dict.fromkeys(waiting, b"\x00"))
         return ServoError.NONE if waiting or broadcast else self._refuse(ServoError.INSTRUCTION)
 
-    def _sync_write(self, time_ns: int, parameters: bytes) -> None:
-        size = parameters[1] if len(parameters) > 1 else 0
-        if size == 0 or (len(parameters) - 2) % (size + 1):
-            self._refuse(ServoError.INSTRUCTION)  # servos never respond to a broadcast
-            return
-        address = parameters[0]
+    def _sync_write(self, time_ns: int, request: Request) -> None:
         accepted: dict[int, bytes] = {}
-        for start in range(2, len(parameters), size + 1):
-            data = parameters[start + 1 : start + 1 + size]
-            for row in self._listeners.get(parameters[start], ()):
-                error = self._check(row, address, data)
+        for servo_id, data in request.rows:
+            for row in self._listeners.get(servo_id, ()):
+                error = self._check(row, request.address, data)
                 if error:
                     self._refuse(error)
                 else:
                     accepted[row] = data
-        self._change(time_ns, address, accepted)
+        self._change(time_ns, request.address, accepted)
+
+    def _end_reboots(self, now_ns: int) -> None:
+        ended = [row for row, until_ns in self._deaf_until_ns.items() if until_ns <= now_ns]
+        for row in ended:
+            del self._deaf_until_ns[row]
+        if ended:
+            self._find_listeners()
+
+    def _sync_read(self, time_ns: int, request: Request) -> list[Reply]:
+        """Return the answers of several servos, in the order of the instruction; a silent one ends a combined answer."""
+        if request.address + request.size > self._registers.size:
+            return []
+        read = (request.address, request.size)
+        rows = [self._listeners.get(servo_id, []) for servo_id, _ in request.rows]
+        if request.kind is Kind.SYNC_READ:
+            return self._answer([row for those in rows for row in those], time_ns, ServoError.NONE, read=read)
+        heard = list(itertools.takewhile(len, rows))
+        parts = [
+            (self._value(row, self._registers.id), self._error_code(row), self._table(row, *read, at_ns=time_ns))
+            for row, *_ in heard
+        ]
+        if not parts:
+            return []
+        said = dynamixel2.combined_status(parts)
+        if len(heard) < len(rows):  # the length in its header counts all servos
+            missing = dynamixel2.combined_status([*parts, *((0, 0, bytes(request.size)) for _ in rows[len(heard) :])])
+            said = missing[: len(said)]
+        self._answered_ns = max(time_ns, self._answered_ns) + self._timing.wire_ns(len(said))
+        self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
+        return [Reply(self._answered_ns + self._timing.usb_transaction_ns, said, self._protocol.BROADCAST_ID)]
+
+    def _reboot(self, rows: list[int], time_ns: int) -> None:
+        """Restart servos: their RAM has factory values, no error is latched, and they are silent for some time."""
+        for row in rows:
+            self._registered.pop(row, None)
+            self._bank.power_up(row)
+            self._deaf_until_ns[row] = time_ns + _REBOOT_NS
+        self._find_listeners()
 
     # ------------------------------------------------------------------------------------------------- registers
 
@@ -250,8 +303,13 @@ class ServoBusEmulator(AnswersOnly):
         return ServoError.NONE
 
     def _is_protected(self, row: int, address: int, size: int) -> bool:
-        """Return whether a lock, which ends only with the power, protects these registers."""
+        """Return whether a lock, which ends only with the power, or torque protects these registers."""
         lock, free = self._registers.lock, self._registers.unlocked
+        if self._model.eeprom_needs_torque_off:
+            first_free = self._registers.torque_enable.address
+            return address < first_free and bool(self._value(row, self._registers.torque_enable))
+        if self._model.unlocks:  # what is written is lost without power, but acts
+            return False
         return lock is not None and not (free.start <= address <= free.stop - size) and bool(self._value(row, lock))
 
     def _table(self, row: int, address: int, size: int, at_ns: int | None = None) -> bytes:
@@ -295,7 +353,7 @@ class ServoBusEmulator(AnswersOnly):
 
         The receiver tolerates a difference of 3 %.
         """
-        if row in self._cut_off:
+        if row in self._cut_off or row in self._deaf_until_ns:
             return False
         rate = self._model.rates.get(self._value(row, self._registers.baud_rate), 0)
         return abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate
@@ -320,7 +378,8 @@ class ServoBusEmulator(AnswersOnly):
 
         A servo responds if its status return level requires it.
         """
-        needed = 0 if always else _ANSWER_READ if read else _ANSWER_ALL
+        everything = self._registers.status_return_level.max
+        needed = 0 if always else everything - 1 if read else everything
         answers: list[tuple[int, int, bytes]] = []  # id, delay [ns] and response of each servo
         for row in rows:
             head = self._head.unpack(self._table(row, self._head.address, self._head.size))
@@ -328,8 +387,8 @@ class ServoBusEmulator(AnswersOnly):
             if level < needed:
                 continue
             delay *= _RETURN_DELAY_NS
-            data = self._table(row, *read, at_ns=time_ns) if read else b""
-            said = self._protocol.status(servo_id, self._protocol.error_code(error, self._bank.error(row)), data)
+            data = self._table(row, *read, at_ns=time_ns) if read else self._identity(row) if always else b""
+            said = self._protocol.status(servo_id, self._error_code(row, error), data)
             answers.append((servo_id, delay, said))
         replies: list[Reply] = []
         for servo_id, delay, data in answers if len(answers) == 1 else self._heard(answers):
@@ -337,6 +396,15 @@ class ServoBusEmulator(AnswersOnly):
             replies.append(Reply(self._answered_ns + self._timing.usb_transaction_ns, data, servo_id))
         self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
         return replies
+
+    def _identity(self, row: int) -> bytes:
+        """Return the parameters of the answer to a ping: model number and firmware, or none."""
+        registers = (self._registers.model_number, self._registers.firmware)
+        return b"".join(self._table(row, one.address, one.size) for one in registers)[: self._protocol.PING_SIZE]
+
+    def _error_code(self, row: int, error: ServoError = ServoError.NONE) -> int:
+        """Return the error code of an answer of a servo, with the errors of an instruction."""
+        return self._protocol.error_code(error, self._bank.error(row))
 
     def _heard(self, answers: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Return ids, delays [ns] and bytes on the wire of answers.

@@ -14,9 +14,8 @@ from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
-from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
-from sextant.shared.servo.servo_model import ServoError
+from sextant.shared.servo.servo_model import BusProtocol, ServoError
 from sextant.shared.wire.messages import FaultTarget
 
 _SEC, _MS = 1e9, 1_000_000
@@ -185,7 +184,7 @@ class BusFaults(AnswersOnly):
             data = _spoil(running, data, t_ns)
         replies = self._bus.receive(data, now_ns)
         for running in (*_of("servo", active), *_of("packets", active), *_of("bus", active)):
-            replies = [reply for answer in replies for reply in _garble(running, answer, t_ns)]
+            replies = [reply for answer in replies for reply in _garble(running, answer, t_ns, self._bank.model.protocol)]
         for running in spoilers:
             replies = [reply for answer in replies for reply in _spoil_reply(running, answer, t_ns)]
         return replies
@@ -321,7 +320,7 @@ def _spoil_reply(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
     yield Reply(due_ns, reply.data[start:], reply.servo_id)
 
 
-def _garble(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
+def _garble(running: _Running, reply: Reply, t_ns: int, protocol: BusProtocol) -> Iterator[Reply]:
     """Yield the replies that replace one response under a fault.
 
     The fault is one of responses, a servo or the bus. Echoes pass unchanged.
@@ -345,7 +344,7 @@ def _garble(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
             noise = running.rng.randbytes(running.rng.randint(1, _MOST_NOISE))
             yield reply._replace(data=noise + reply.data)
         case "packets", "wrong" if running.strikes():
-            yield reply._replace(data=_misspoken(running, reply))
+            yield reply._replace(data=_misspoken(running, reply, protocol))
         case "servo", "garbage":
             yield reply._replace(data=running.rng.randbytes(len(reply.data)))
         case "bus", "wrong":
@@ -356,21 +355,23 @@ def _garble(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
             yield reply
 
 
-def _misspoken(running: _Running, reply: Reply) -> bytes:
+def _misspoken(running: _Running, reply: Reply, protocol: BusProtocol) -> bytes:
     """Return a response with one wrong part or with two wrong bits or bytes.
 
     With one wrong part, the checksum is valid.
     """
-    servo_id, error, parameters, rng = reply.servo_id, reply.data[4], reply.data[5:-1], running.rng
+    rng, most = running.rng, protocol.MAX_ID
+    ((servo_id, error, parameters, *_),) = protocol.answer_parser(len(reply.data)).feed(reply.data)
     match running.fault.part:
         case "id":
-            return dxl.status((servo_id + rng.randrange(1, dxl.MAX_ID)) % (dxl.MAX_ID + 1), error, parameters)
+            return protocol.status((servo_id + rng.randrange(1, most)) % (most + 1), error, parameters)
         case "length":
-            return dxl.status(servo_id, error, parameters[:-1] if rng.random() < 0.5 and parameters else parameters + b"\x00")
+            cut = rng.random() < 0.5 and parameters
+            return protocol.status(servo_id, error, parameters[:-1] if cut else parameters + b"\x00")
         case "error":
-            return dxl.status(servo_id, error ^ 1 << rng.randrange(8), parameters)
+            return protocol.status(servo_id, error ^ 1 << rng.randrange(8), parameters)
         case "value":
-            return dxl.status(servo_id, error, rng.randbytes(len(parameters)))
+            return protocol.status(servo_id, error, rng.randbytes(len(parameters)))
         case part:
             spoilt = bytearray(reply.data)
             for i in rng.sample(range(len(spoilt)), 2):

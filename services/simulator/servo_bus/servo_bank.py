@@ -9,6 +9,7 @@ Not emulated: wheel mode (both angle limits 0; torque is off in it), and punch, 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from sextant.shared.runtime.compiled import compiled
 from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import AX_12A, MODEL_NAMED
 from sextant.shared.servo.protection import Protection
-from sextant.shared.servo.servo_model import Register, ServoError, ServoModel, Sign
+from sextant.shared.servo.servo_model import Recovery, Register, ServoError, ServoModel, Sign
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ _EPS = 1e-9  # rounding tolerance of a duty, or of a sum of time steps, at a lim
 class Motor:
     """Torque and currents of one motor.
 
-    Source: ROBOTIS e-manual, AX-12A; the standby current is from the RX-64 page.
+    Sources: ROBOTIS e-manual and Feetech data sheets; the standby current of the AX-12A is from the RX-64 page.
     """
 
     stall_torque: float = 1.5  # [N m] at a duty of 1
@@ -65,12 +66,28 @@ AX_12A_MOTOR = Motor()
 # At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are scaled with the voltage, as for a DC motor.
 RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
 RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: Lotriet 2024, section 3.1
+RX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.7)  # at 12 V
+MX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.4, standby_current=0.1)  # at 12 V
+MX_64_MOTOR = Motor(stall_torque=6.0, stall_current=4.1, standby_current=0.1)  # at 12 V
+STS3215_MOTOR = Motor(stall_torque=2.94, stall_current=2.7, standby_current=0.006)  # the model for 12 V
+XL430_W250_MOTOR = Motor(stall_torque=1.4, stall_current=1.3, standby_current=0.052)  # at 11.1 V
+XC430_W150_MOTOR = Motor(stall_torque=1.6, stall_current=1.4, standby_current=0.046)  # at 12 V
+XC430_W240_MOTOR = Motor(stall_torque=1.9, stall_current=1.4, standby_current=0.046)  # at 12 V
+XM430_W350_MOTOR = Motor(stall_torque=4.1, stall_current=2.3, standby_current=0.04)  # at 12 V
 AX_18A_MOTOR = Motor(stall_torque=1.8, stall_current=2.2)
 AX_12W_MOTOR = Motor(stall_torque=0.2, stall_current=1.4)
 MOTOR_AND_SUPPLY = {
     "AX-12A": (AX_12A_MOTOR, Supply()),
     "AX-18A": (AX_18A_MOTOR, Supply()),
     "AX-12W": (AX_12W_MOTOR, Supply()),
+    "RX-28": (RX_28_MOTOR, Supply()),
+    "MX-28": (MX_28_MOTOR, Supply()),
+    "MX-64": (MX_64_MOTOR, Supply()),
+    "XL430-W250": (XL430_W250_MOTOR, Supply()),
+    "XC430-W150": (XC430_W150_MOTOR, Supply()),
+    "XC430-W240": (XC430_W240_MOTOR, Supply()),
+    "XM430-W350": (XM430_W350_MOTOR, Supply()),
+    "STS3215": (STS3215_MOTOR, Supply()),
     "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
 }
 
@@ -300,6 +317,13 @@ class ServoBank:
         self.temperature: Array = np.full(n, start)  # (n,) [deg C]
         self.voltage = self._open_circuit()  # [V] at the servos
         self._latched_errors = np.zeros(n, dtype=np.uint8)  # error bits OVERLOAD and OVERHEATING
+        self._tripped_share = np.ones(n)  # [1] of the torque that a shutdown leaves, where the torque limit does not tell
+        # What a shutdown sets to 0: a register, or the share of the torque where no register tells.
+        self._shut_down_by: NDArray[Any] = {
+            Recovery.TORQUE_LIMIT: self._torque_limits,
+            Recovery.TORQUE_ENABLE: self._tripped_share,
+            Recovery.REBOOT: self.column(table.torque_enable),
+        }[model.recovery]
         self._tripped = np.zeros(n, dtype=np.uint8)  # error bits whose conditions are met now
         self._stalled_for = np.zeros(n)  # [s]
         self._buckets = np.zeros((_BUCKETS, n))  # [s] duty integrated over each slice of the window
@@ -360,12 +384,24 @@ class ServoBank:
         enable = start + self.table.torque_enable.address
         was_on = self._bytes[enable]
         self._bytes[start + address : start + end] = data
+        if self.model.recovery is Recovery.REBOOT and self._latched_errors[row] & self.column(self.table.shutdown)[row]:
+            self._bytes[enable] = 0  # until it reboots
         turned_on = self._bytes[enable] and not was_on
         if turned_on and not (address <= self.table.goal_position.address < end):
             self._goals[row] = self._position_ticks(row)
-        if address <= self.table.torque_limit.address < end:
-            self._latched_errors[row] = 0
+        if self._ends_shutdown(row, address, end):
+            self._latched_errors[row], self._tripped_share[row] = 0, 1.0
         self._settings_changed = True
+
+    def _ends_shutdown(self, row: int, address: int, end: int) -> bool:
+        """Return whether a write to these addresses, just done, ends the shutdown of a servo."""
+        match self.model.recovery:
+            case Recovery.TORQUE_LIMIT:
+                return address <= self.table.torque_limit.address < end
+            case Recovery.TORQUE_ENABLE:
+                return address <= self.table.torque_enable.address < end and not self.column(self.table.torque_enable)[row]
+            case Recovery.REBOOT:
+                return False
 
     def set_faults(self, faults: ServoFaults | None) -> None:
         """Set the active faults, None for no faults, and apply their immediate effects."""
@@ -373,14 +409,14 @@ class ServoBank:
         if not self._measured:
             self._write_measured(0)  # frozen registers keep the current values
         for row in np.flatnonzero(before.unpowered & ~now.unpowered):
-            self._power_up(int(row))
+            self.power_up(int(row))
         self._jammed_at = np.where(now.jammed & ~before.jammed, self._q, self._jammed_at)
         self._load_direction = np.where(now.wrong_sign, -1.0, 1.0)
         self._active_faults, self._has_faults = now, faults is not None or bool(self.slipped.any())
         self._stall_torque = self.motor.stall_torque * self._variation.torque * now.strength
         self._measured, self._settings_changed, self._goals_changed = False, True, True
 
-    def _power_up(self, row: int) -> None:
+    def power_up(self, row: int) -> None:
         """Reset the RAM registers of a servo to factory values.
 
         Torque is off and no error is latched.
@@ -388,7 +424,7 @@ class ServoBank:
         start = self.table.torque_enable.address
         self.tables[row, start:] = np.frombuffer(self.model.factory_table(), dtype=np.uint8)[start:]
         self._torque_limits[row] = self.column(self.table.max_torque)[row]
-        self._latched_errors[row] = 0
+        self._latched_errors[row], self._tripped_share[row] = 0, 1.0
         self._goals_changed = self._settings_changed = True
 
     @property
@@ -474,11 +510,15 @@ class ServoBank:
             tripped = bool(self._tripped.any())
         if tripped:
             self._latched_errors |= self._tripped
-            down = (self._tripped & self.column(self.table.shutdown) != 0) & (self._torque_limits != 0)
+            down = (self._tripped & self.column(self.table.shutdown) != 0) & (self._shut_down_by != 0)
             if down.any():
-                self._torque_limits[down] = 0
-                self._settings_changed = True
+                self._shut_down(down)
         return float(duty_sum)
+
+    def _shut_down(self, down: NDArray[np.bool_]) -> None:
+        """Turn the motors of servos (n,) off, as their model does."""
+        self._shut_down_by[down] = 0
+        self._settings_changed = True
 
     def _discharge(self, duty_sum: float, dt: float) -> None:
         """Update current, charge and voltage of the supply by one step."""
@@ -528,7 +568,7 @@ class ServoBank:
         wheel_mode = (self.column(table.low_limit) == 0) & (self.column(table.high_limit) == 0)
         limit = np.minimum(self._torque_limits, self.column(table.max_torque)) / float(table.torque_limit.max)
         off = (self.column(table.torque_enable) == 0) | wheel_mode | self._active_faults.unpowered
-        self._limit[:] = np.where(off, 0.0, self._stall_torque * limit)
+        self._limit[:] = np.where(off, 0.0, self._stall_torque * limit * self._tripped_share)
         self._torque_off = self._limit == 0.0
         self._out.torque_limit[:] = self._limit
 
@@ -580,6 +620,8 @@ class ServoBank:
         self.column(table.present_voltage)[:] = min(max(round(self.voltage / self._units.volt), 0), 255)
         self.column(table.present_temperature)[:] = values[:, 3]
         self.column(table.moving)[:] = values[:, 4]
+        if table.hardware_error is not None:
+            self.column(table.hardware_error)[:] = [self.model.hardware_error_code(self.error(row)) for row in range(len(self))]
 
 
 def make_servo_bank(
@@ -601,7 +643,6 @@ def make_servo_bank(
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
     model, n = MODEL_NAMED[servo.model], len(servo_ids)
-    by_slope = servo.stall_torque / (full_torque_ticks(servo.compliance_slope) * model.units.tick_rad)
     variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
-    variation = replace(variation, stiffness=variation.stiffness * servo.stiffness / by_slope)
+    variation = replace(variation, stiffness=variation.stiffness * servo.stiffness / servo.nominal_stiffness)
     return ServoBank(servo_ids, model, motor, supply=supply, q=q, variation=variation)

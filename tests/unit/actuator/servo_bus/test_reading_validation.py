@@ -84,11 +84,12 @@ def test_unconfirmed_jump_is_refused_with_reason(said: dict[str, int], doubt: Im
 def test_a_servo_may_move_at_the_no_load_speed_of_its_model_and_no_servo_at_twice_that(
     model: ServoModel, after_ms: float
 ) -> None:
-    way = model.no_load_speed * after_ms * 1e-3 / dxl.TICK_RAD  # [ticks]
-    for moved, accepted in ((round(way), True), (round(2.0 * way) + 10, False)):
+    units = model.units
+    way, slack = model.no_load_speed * after_ms * 1e-3 / units.tick_rad, 0.052 / units.tick_rad  # [ticks]
+    for moved, accepted in ((round(way), True), (round(2.0 * way + slack), False)):
         judge = Judge(model=model)
         judge.goal(500 + moved)
-        speed = round(model.no_load_speed / dxl.SPEED_RAD_S)
+        speed = round(model.no_load_speed / units.speed_rad_s)
         assert judge.accepts(after_ms, position=500 + moved, speed=speed) == accepted
 
 

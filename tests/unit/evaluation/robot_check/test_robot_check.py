@@ -44,7 +44,7 @@ def test_shipped_profiles_pass(name: str) -> None:
     [
         ("servo", {"stall_torque": 0.5}, "torque, tripod", r"of the stall torque at a femur"),
         ("servo", {"stall_torque": 0.8}, "heat", r"for \d+ min, then a servo reaches 70 deg C"),
-        ("servo", {"stiffness": 18.0}, "stiffness", r"servo.stiffness is 18 N m/rad, stall torque over compliance slope 9.16"),
+        ("servo", {"stiffness": 18.0}, "stiffness", r"servo.stiffness is 18 N m/rad, that of an AX-12A at its setting 9.16"),
         ("servo", {"no_load_speed": 3.0}, "joint speed", "a lower stance.foot_speed slows swings"),
         ("stance", {"stride": 0.19}, "stride", r"19.0 cm needed; limited by the \w+ \w+ leg, by its coxa joint"),
         ("body", {"centre_of_mass": (0.11, 0.0, 0.0)}, "support margin", "body.centre_of_mass in the middle adds to it"),

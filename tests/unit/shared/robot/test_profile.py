@@ -18,7 +18,7 @@ from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile, Servo
 from sextant.shared.robot.profiles import load_profile, profile_names
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.models import MODEL_NAMED
 
 PROFILE = load_profile("phantomx_mk2")
 TABLE = config.as_table(PROFILE)
@@ -53,8 +53,7 @@ def test_packaged_profiles_reach_their_stride(name: str) -> None:
     for ahead, up in ((0.0, 0.0), (-half, 0.0), (half, 0.0), (0.0, 0.02)):
         q = body_inverse(profile, profile.rest_feet() + np.array([ahead, 0.0, up]))
         assert within_limits(profile, q).all(), (ahead, up)
-    stiffest = profile.servo.stall_torque / (profile.servo.compliance_slope * dxl.TICK_RAD)
-    assert profile.servo.stiffness == pytest.approx(stiffest, rel=0.01)
+    assert profile.servo.stiffness == pytest.approx(profile.servo.nominal_stiffness, rel=0.01)
 
 
 def test_coxa_frames_point_along_neutral_legs() -> None:
@@ -144,6 +143,7 @@ def test_points_project_to_their_pixels() -> None:
 
 
 LEG = PROFILE.legs[0]
+WIDE = (*LEG.servo_limits_deg[:2], (-55.0, 151.0))
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,13 @@ LEG = PROFILE.legs[0]
             lambda: replace(LEG, servo_limits_deg=((-80.0, 42.0), (10.0, 10.0), (-55.0, 101.0))),
             r"limits_deg\[1\]: limits",
         ),
-        (lambda: replace(LEG, servo_limits_deg=((-80.0, 42.0), (-1.0, 1.0), (-55.0, 151.0))), r"limits_deg\[2\]: limits"),
+        (lambda: replace(LEG, servo_limits_deg=((-80.0, 42.0), (-1.0, 1.0), (-55.0, 181.0))), r"limits_deg\[2\]: limits"),
+        (
+            lambda: replace(PROFILE, legs=(replace(LEG, servo_limits_deg=WIDE), *PROFILE.legs[1:])),
+            r"legs\[0\].servo_limits_deg\[2\]: limits within -150 and 150 deg, the range of AX-12A servos, expected",
+        ),
+        (lambda: replace(PROFILE.servo, position_gain=32), "no position gain for AX-12A servos, which have a compliance slope"),
+        (lambda: replace(PROFILE.servo, model="MX-28", compliance_slope=0), "a position gain of at least 1 for MX-28 servos"),
         (lambda: replace(LEG, servo_ids=(1, 2, 254)), r"servo_ids\[2\]: a servo id from 0 to 253 expected, found 254"),
         (
             lambda: replace(PROFILE, legs=PROFILE.legs[::-1]),
@@ -171,7 +177,7 @@ LEG = PROFILE.legs[0]
         (lambda: Foot(0.0), "radius: a foot radius of more"),
         (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), r"size\[2\]: an edge of more than 0 and"),
         (lambda: replace(PROFILE.servo, no_load_speed=0.0), "no_load_speed: more than 0 and"),
-        (lambda: Servo("AX-12A", 1.5, 6.0, 9.0, 0, 0.0, 0.0), "compliance slope"),
+        (lambda: Servo("AX-12A", 1.5, 6.0, 9.0, 0.0, 0.0), "a compliance slope of at least 1 for AX-12A servos"),
         (lambda: Intrinsics(0, 480, 585.0, 585.0, 1.0, 1.0), "width: 1 to 4096 pixels"),
         (lambda: Intrinsics(640, 480, 0.0, 585.0, 1.0, 1.0), "fx: a focal length of 1 to"),
         (lambda: DepthSensor(min_range=2.0, max_range=1.0), "min_range below max_range"),
@@ -231,8 +237,8 @@ def _at(table: Any, path: str) -> tuple[Any, Any]:
 # Each is wrong independently of the others: path in the table, invalid value, error message.
 MISTAKES: dict[str, tuple[Any, str]] = {
     "servo.stall_torque": (-1.0, "servo.stall_torque: more than 0 and at most 10000 expected, found -1.0"),
-    "servo.model": ("AX-19", "servo.model: one of 'AX-12A', 'AX-18A', 'AX-12W', 'RX-64' expected, found 'AX-19'"),
-    "servo.compliance_slope": (0, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 0"),
+    "servo.model": ("AX-19", f"servo.model: one of {', '.join(MODEL_NAMED)} expected, found 'AX-19'"),
+    "servo.compliance_slope": (255, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 255"),
     "servo.armature": ("little", "servo.armature: a number expected, found 'little'"),
     "links.femur": (0.0, "links.femur: a length of 0.001 to 10 m expected, found 0.0"),
     "links.tibia": (None, "links.tibia: missing"),

@@ -215,7 +215,7 @@ def test_error_bits_have_descriptions() -> None:
     assert error_words(0) == ""
     assert error_words(0x24) == "overheating, overload"
     assert all(error_words(bit) for bit in ServoError)
-    assert sorted(ServoError) == [1, 2, 4, 8, 16, 32, 64]
+    assert sorted(ServoError) == [1, 2, 4, 8, 16, 32, 64, 128]
 
 
 def test_register_encoding_checks_range() -> None:

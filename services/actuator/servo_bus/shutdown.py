@@ -1,0 +1,28 @@
+"""End of the shutdown of an overloaded or hot servo, as its model asks for it."""
+
+from sextant.services.actuator.servo_bus.servo_interface import Servos
+from sextant.shared.servo.servo_model import Recovery
+
+
+def end(bus: Servos, servo_id: int, goal_ticks: int, torque_limit: int) -> bool:
+    """End the shutdown of a servo at a goal that it acknowledges first; return whether it has torque again.
+
+    A servo that must reboot has no torque afterwards: an operator's order turns it on.
+
+    Args:
+        bus: The servos.
+        servo_id: Id of the servo.
+        goal_ticks: Goal position register, the present position.
+        torque_limit: Torque limit register.
+    """
+    table = bus.model.table
+    if bus.model.recovery is Recovery.REBOOT:
+        bus.reboot(servo_id)
+        return False
+    if bus.model.recovery is Recovery.TORQUE_ENABLE and not bus.write(servo_id, table.torque_enable, 0):
+        return False
+    if not bus.write(servo_id, table.goal_position, goal_ticks):
+        return False
+    if not bus.write(servo_id, table.torque_limit, torque_limit):
+        return False
+    return bus.model.recovery is Recovery.TORQUE_LIMIT or bus.write(servo_id, table.torque_enable, 1)

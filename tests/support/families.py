@@ -1,0 +1,62 @@
+"""Robots and buses with the servos of each family."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY, make_servo_bank
+from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import RobotProfile, Servo
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo.models import MODEL_NAMED
+from sextant.shared.servo.servo_model import ServoModel
+
+FAMILIES = ("AX-12A", "MX-28", "XL430-W250", "XM430-W350", "STS3215")  # one servo of each control table, at least
+
+
+def robot_with(model_name: str) -> RobotProfile:
+    """Return the printed robot with servos of another model, by its data sheet."""
+    profile, model = load_profile("printed_sts3215"), MODEL_NAMED[model_name]
+    table, stall = model.table, MOTOR_AND_SUPPLY[model_name][0].stall_torque
+    gain = model.default(table.position_gain) if table.position_gain else 0
+    servo = Servo(
+        model=model_name,
+        stall_torque=stall,
+        no_load_speed=model.no_load_speed,
+        stiffness=stall * gain * model.gain_stiffness if gain else stall / (32 * model.units.tick_rad),
+        armature=0.01,
+        friction=0.03,
+        compliance_slope=0 if gain else 32,
+        position_gain=gain,
+        temperature_limit=float(model.default(table.temperature_limit)),
+    )
+    return replace(profile, name=f"robot_{model_name.lower()}", servo=servo)
+
+
+class Bench:
+    """Some servos of one model on a bus in memory, in virtual time."""
+
+    def __init__(self, model_name: str, n: int = 3, spoil: Callable[[bytes], bytes] | None = None) -> None:
+        self.model: ServoModel = MODEL_NAMED[model_name]
+        self.ids = tuple(range(1, n + 1))
+        self.servos = make_servo_bank(robot_with(model_name).servo, self.ids, np.zeros(n))
+        table = self.model.table
+        self.servos.column(table.baud_rate)[:] = self.model.rate_code(1_000_000)
+        self.emulator = ServoBusEmulator(self.servos)
+        self.now_ns = 0
+        self.port = MemoryPort(self.emulator, lambda: self.now_ns)
+        if spoil is not None:
+            read = self.port.read
+            self.port.read = lambda size=1: spoil(read(size))  # type: ignore[method-assign]
+        self.bus = ServoBus(self.port, self.ids, self.port.now_ns, model=self.model)
+
+    def pass_time(self, seconds: float, q: Array | None = None, torque: Array | None = None) -> None:
+        """Let the servos run with joints at q (n,) [rad] and torques (n,) [N m], both 0 by default."""
+        zero = np.zeros(len(self.ids))
+        self.now_ns = self.port.now_ns() + round(seconds * 1e9)
+        self.emulator.advance(self.now_ns)
+        self.servos.set_joint_state(zero if q is None else q, zero, zero if torque is None else torque, self.now_ns)
+        self.command = self.servos.advance(seconds)

@@ -1,0 +1,95 @@
+"""Commissioning of servos of every family, on emulated servos at packet level."""
+
+from datetime import date
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.commissioning import set_ids
+from sextant.services.actuator.commissioning.calibration import calibrate
+from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
+from sextant.services.actuator.commissioning.set_ids import Line, usual_rates
+from sextant.services.actuator.commissioning.torque_off import torque_off
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.shared.robot.profile import LEGS, Calibration
+from sextant.shared.servo.servo_model import Register
+from tests.support.builder import Answer, Builder
+from tests.support.desk import Desk
+from tests.support.families import FAMILIES, robot_with
+
+OTHERS = [name for name in FAMILIES if name != "AX-12A"]  # for which the other tests of this folder are
+
+
+def line(desk: Desk) -> Line:
+    def at(rate: int) -> ServoBus:
+        names = desk.profile.servo_names
+        return ServoBus(desk.open(rate), list(names), desk.clock, names=names, model=desk.profile.servo_model)
+
+    return Line(at, usual_rates(desk.profile.servo_model))
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_ids_of_18_new_servos_are_set(name: str) -> None:
+    desk = Desk(robot_with(name), fresh=True)
+    writes: list[tuple[Register, int]] = []
+    bank = desk.bench._servos
+
+    def plug() -> str:
+        desk.bench.plug(desk.bench.unplugged[:1])
+        return ""
+
+    answers: list[Answer] = [plug] * 18
+    assert set_ids.set_ids(line(desk), desk.profile, Builder(answers)), writes
+    desk.settle()
+    model, table = bank.model, bank.table
+    assert sorted(bank.column(table.id).tolist()) == sorted(desk.profile.servo_names)
+    for register, value in {**model.joint_settings, table.baud_rate: model.rate_code(1_000_000)}.items():
+        assert (bank.column(register) == value).all(), register.name
+    assert not bank.column(table.torque_enable).any()
+    assert set_ids.verdict(set_ids.scan(line(desk)), desk.profile) == []
+
+
+def test_eeprom_of_feetech_servo_is_unlocked_for_its_id_and_locked_again() -> None:
+    desk = Desk(robot_with("STS3215"), fresh=True)
+    bank, written = desk.bench._servos, []
+    write = bank.write
+
+    def noted(row: int, address: int, data: bytes) -> None:
+        written.append((address, data))
+        write(row, address, data)
+
+    desk.bench.plug(desk.bench.unplugged[:1])
+    bank.write = noted  # type: ignore[method-assign]
+    set_ids.set_ids(line(desk), desk.profile, Builder(["", "q"]))
+    desk.settle()
+    table = bank.table
+    assert table.lock is not None
+    order = [address for address, data in written if address in (table.lock.address, table.id.address)]
+    assert order == [table.lock.address, table.id.address, table.lock.address]
+    assert bank.column(table.lock)[0] == 1
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_trims_of_a_leg_are_measured(name: str) -> None:
+    desk, kept = Desk(robot_with(name)), []
+
+    def bend() -> str:
+        desk.bench.bend(1, np.zeros(3))
+        return ""
+
+    def keep(entry: Calibration) -> None:
+        kept.append(entry)
+
+    assert calibrate(desk.bus(), desk.profile, Builder([bend, ""]), keep, date(2026, 1, 1), legs=LEGS[1:2])
+    tick_deg = np.degrees(desk.profile.servo_model.units.tick_rad)
+    np.testing.assert_allclose(kept[0].trims_deg, np.degrees(desk.bench.robot.trims[1]), atol=tick_deg)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_joints_of_a_leg_move_and_return(name: str) -> None:
+    desk = Desk(robot_with(name))
+    moved = run_joint_test(desk.bus(), desk.profile, Builder([True]), desk.clock, legs=LEGS[:1])
+    assert moved is not None
+    assert [one.problem for one in moved] == ["", "", ""]
+    assert all(abs(one.moved_deg) == pytest.approx(STEP_DEG, abs=0.6) for one in moved)
+    assert torque_off(desk.bus()) == {}

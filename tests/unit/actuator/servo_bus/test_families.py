@@ -1,0 +1,165 @@
+"""The same driver with servos of every family, against their byte-level emulators."""
+
+from random import Random
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.servo_bus import shutdown
+from sextant.services.actuator.servo_bus.bus_scan import prepare, scan_servo
+from sextant.shared.servo.models import MODELS
+from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel
+from tests.support.families import FAMILIES, Bench
+
+ALL = [model.name for model in MODELS]
+_BUDGET_NS = 40_000_000
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_set_up_servos_report_the_state_of_their_joints(name: str) -> None:
+    bench = Bench(name)
+    bench.bus.setup()
+    angles = np.array([-0.7, 0.02, 1.1])
+    bench.pass_time(0.02, angles)
+    readings = bench.bus.poll(_BUDGET_NS)
+    assert [one.servo_id for one in readings] == [1, 2, 3]
+    np.testing.assert_allclose([one.position for one in readings], angles, atol=bench.model.units.tick_rad)
+    assert {one.error for one in readings} == {ServoError.NONE}
+    assert all(abs(one.voltage - bench.servos.voltage) < 0.06 and one.temperature == 25.0 for one in readings)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_load_and_speed_keep_size_and_sign(name: str) -> None:
+    bench = Bench(name, 2)
+    zero, speeds, shares = np.zeros(2), np.array([-1.5, 2.5]), np.array([0.3, -0.45])
+    bench.servos.set_joint_state(zero, speeds, shares * bench.servos.motor.stall_torque)
+    bench.servos.advance(0.002)
+    readings = bench.bus.poll(_BUDGET_NS)
+    units = bench.model.units
+    np.testing.assert_allclose([one.speed for one in readings], speeds, atol=units.speed_rad_s)
+    np.testing.assert_allclose([one.load for one in readings], shares, atol=units.load)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_goals_and_speed_limits_reach_the_servos(name: str) -> None:
+    bench = Bench(name)
+    table, units = bench.model.table, bench.model.units
+    angles = [-0.5, 0.0, 0.9]
+    bench.bus.set_torque(True)  # which makes the present position the goal
+    bench.bus.sync_write_goals([units.ticks(angle) for angle in angles], [0, 40, 0])
+    bench.pass_time(0.01)
+    assert bench.servos.column(table.goal_position).tolist() == [units.ticks(angle) for angle in angles]
+    assert bench.servos.column(table.goal_speed).tolist() == [0, 40, 0]
+    assert (bench.command.torque_limit > 0.0).all(), "torque is on"
+    bench.bus.set_torque(False)
+    bench.pass_time(0.01)
+    assert not bench.command.torque_limit.any(), "a broadcast turns it off"
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_no_wrong_position_is_believed_among_broken_bytes(name: str) -> None:
+    """Spoil one bit of every fourth read."""
+    rng, n = Random(7), 600
+
+    def spoil(data: bytes) -> bytes:
+        if not data or rng.random() > 0.25:
+            return data
+        at = rng.randrange(len(data))
+        return data[:at] + bytes((data[at] ^ 1 << rng.randrange(8),)) + data[at + 1 :]
+
+    bench, asked, wrong, believed = Bench(name, 3, spoil), 0, [], 0
+    q = np.array([0.2, -0.3, 0.4])
+    goals = [bench.model.units.ticks(angle) for angle in q]
+    while asked < n:
+        bench.bus.sync_write_goals(goals)
+        bench.pass_time(0.02, q)
+        readings = bench.bus.poll(_BUDGET_NS)
+        asked += 3
+        believed += len(readings)
+        wrong += [one for one in readings if abs(one.position - q[one.index]) > bench.model.units.tick_rad]
+    assert believed > n / 2
+    assert not wrong
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("error", [ServoError.OVERHEATING, ServoError.OVERLOAD])
+def test_shutdown_is_reported_and_ends_only_on_order(name: str, error: ServoError) -> None:
+    bench = Bench(name, 2)
+    model, table, units = bench.model, bench.model.table, bench.model.units
+    bench.bus.sync_write_goals([units.centre] * 2)
+    bench.bus.set_torque(True)
+    if error is ServoError.OVERHEATING:
+        bench.servos.temperature[0] = 120.0
+    stalled = np.array([bench.servos.motor.stall_torque, 0.0])
+    for _ in range(120):
+        bench.pass_time(0.02, torque=stalled if error is ServoError.OVERLOAD else None)
+    assert bench.command.torque_limit[0] == 0.0 < bench.command.torque_limit[1]
+    bench.bus.poll(_BUDGET_NS)
+    bench.bus.poll(_BUDGET_NS)  # a change of error bits is believed at the second reading
+    assert bench.bus.errors.tolist() == [error, 0]
+    bench.servos.temperature[0] = 25.0
+    bench.pass_time(1.0)
+    assert bench.command.torque_limit[0] == 0.0, "it does not come back by itself"
+
+    ended = shutdown.end(bench.bus, 1, units.centre, table.torque_limit.max)
+    assert ended == (model.recovery is not Recovery.REBOOT)
+    bench.pass_time(0.02)
+    assert (bench.command.torque_limit[0] > 0.0) == ended
+
+
+def test_rebooted_servo_is_silent_then_answers_without_torque() -> None:
+    bench = Bench("XL430-W250", 2)
+    bench.bus.set_torque(True)
+    bench.servos.temperature[0] = 120.0
+    bench.pass_time(0.02)
+    assert not shutdown.end(bench.bus, 1, 2048, 885)
+    bench.servos.temperature[0] = 25.0
+    bench.pass_time(0.02)
+    assert bench.bus.ping(1) is None
+    bench.pass_time(0.5)
+    assert bench.bus.ping(1) is ServoError.NONE
+    assert bench.bus.read(1, bench.model.table.torque_enable) == 0
+    assert bench.bus.read(2, bench.model.table.torque_enable) == 1
+
+
+def test_eeprom_of_x_series_is_written_only_without_torque() -> None:
+    bench = Bench("XM430-W350", 1)
+    table = bench.model.table
+    bench.bus.set_torque(True)
+    assert not bench.bus.write(1, table.return_delay, 10)
+    found = scan_servo(bench.bus, 1)
+    assert found is not None
+    assert "sextant servos off" in prepare(bench.bus, found, lock=True)
+    bench.bus.set_torque(False)
+    assert bench.bus.write(1, table.return_delay, 10)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_model_number_and_name_are_scanned(name: str) -> None:
+    bench = Bench(name, 1)
+    found = scan_servo(bench.bus, 1)
+    assert found is not None
+    assert (found.number, found.model) == (bench.model.number, name)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_registers_of_a_table_do_not_overlap(model: ServoModel) -> None:
+    table = model.table
+    used: set[int] = set()
+    for register in table.registers:
+        addresses = set(range(register.address, register.address + register.size))
+        assert not used & addresses, register.name
+        assert max(addresses) < table.size
+        assert register.min <= model.default(register) <= register.max, register.name
+        used |= addresses
+    roles = [value for value in vars(table).values() if isinstance(value, type(table.id))]
+    assert set(roles) <= set(table.registers)
+    assert len({register.name for register in table.registers}) == len(table.registers)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_settings_and_overrides_name_registers(model: ServoModel) -> None:
+    names = {register.name for register in model.table.registers}
+    assert set(model.settings) | set(model.overrides) <= names
+    assert all(register.min <= value <= register.max for register, value in model.joint_settings.items())
+    assert model.rates[model.rate_code(1_000_000)] == 1_000_000
