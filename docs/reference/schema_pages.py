@@ -54,9 +54,11 @@ _PROFILE = """# Profile format
 date.*
 
 A profile is a TOML file that describes a robot. [your_robot.md](your_robot.md) has a complete one. `--robot` takes its path,
-or one of the names `phantomx_mk2`, `phantomx_mk2_rgbd`, `phantomx_mk2_scanner` and `lotriet_rx64`. A file with
-`extends = "phantomx_mk2"` contains only the differences; a list such as `[[legs]]` is replaced as a whole. The order of the
-legs is left front, right front, right middle, right rear, left rear, left middle.
+or a name: `phantomx_mk2`, `lotriet_rx64`, and `phantomx_mk2` with other cameras: `phantomx_mk2_rgbd`, `phantomx_mk2_scanner`,
+`phantomx_mk2_d435`, `phantomx_mk2_d405`, `phantomx_mk2_oak` and `phantomx_mk2_gemini2`
+([cameras.md](cameras.md#in-the-simulator)). A file with `extends = "phantomx_mk2"` contains only the differences; a list such
+as `[[legs]]` is replaced as a whole. The order of the legs is left front, right front, right middle, right rear, left rear,
+left middle.
 """
 _REPORT = """# Fields of report.json
 

@@ -27,7 +27,7 @@ def load_profile(name_or_path: str) -> RobotProfile:
     if name_or_path.endswith(".toml"):
         return config.build(_table(Path(name_or_path)), RobotProfile, name_or_path, also=(_STANDS,))
     with resources.as_file(_shipped(name_or_path, "robot")) as path:
-        return config.load(path, RobotProfile)
+        return config.build(_table(path), RobotProfile, str(path))
 
 
 def _shipped(name: str, asked_by: str) -> Traversable:
@@ -53,7 +53,7 @@ def _table(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
     chain = (*extended_by, path.resolve())
     if not base.endswith(".toml"):
         with resources.as_file(_shipped(base, f"{path}: extends")) as shipped:
-            return _over(config.read(shipped), table)
+            return _over(_table(shipped, chain), table)
     if (path.parent / base).resolve() in chain:
         raise config.ConfigError(str(path), [f"extends: another profile expected, found {base!r}, which extends this one"])
     return _over(_table(path.parent / base, chain), table)

@@ -56,6 +56,38 @@ def test_packaged_profiles_reach_their_stride(name: str) -> None:
     assert profile.servo.stiffness == pytest.approx(profile.servo.nominal_stiffness, rel=0.01)
 
 
+# Largest error of the depth in the data sheet [1] at a distance [m], horizontal field of view [deg], and baseline [m].
+DATA_SHEETS = {
+    "d435": (0.02, 2.0, 87.0, 0.050),
+    "d405": (0.02, 0.5, 87.0, 0.018),
+    "oak": (0.02, 3.0, 73.0, 0.075),
+    "gemini2": (0.02, 2.0, 91.0, 0.050),
+}
+
+
+@pytest.mark.parametrize("name", DATA_SHEETS)
+def test_camera_of_packaged_profile_has_noise_and_view_of_its_data_sheet(name: str) -> None:
+    share, at_m, view_deg, baseline = DATA_SHEETS[name]
+    camera = load_profile(f"phantomx_mk2_{name}").camera
+    i, sensor = camera.intrinsics, camera.sensor
+    assert float(sensor.sigma(np.array(at_m), i.fx)) / at_m == pytest.approx(share, rel=0.01)
+    assert 2 * np.degrees(np.arctan(i.width / 2 / i.fx)) == pytest.approx(view_deg, abs=0.2)
+    assert sensor.baseline == baseline
+
+
+def test_camera_profiles_differ_from_the_plain_one_in_their_camera_alone() -> None:
+    for name in ("rgbd", "scanner", *DATA_SHEETS):
+        profile = load_profile(f"phantomx_mk2_{name}")
+        assert replace(profile, name=PROFILE.name, camera=PROFILE.camera) == PROFILE
+
+
+def test_profile_may_extend_a_packaged_one_that_extends_another(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('extends = "phantomx_mk2_d435"\nname = "mine"\n[camera]\npitch_down_deg = 33.0\n')
+    profile = load_profile(str(tmp_path / "mine.toml"))
+    assert profile.camera == replace(load_profile("phantomx_mk2_d435").camera, pitch_down_deg=33.0)
+    assert profile.legs == PROFILE.legs
+
+
 def test_coxa_frames_point_along_neutral_legs() -> None:
     for T, T_back, leg in zip(PROFILE.T_body_coxa, PROFILE.T_coxa_body, PROFILE.legs, strict=True):
         yaw = np.radians(leg.neutral_yaw_deg)
