@@ -19,7 +19,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import TerrainMap, VelocityCommand
 
 _RESOLUTION_M = 0.01  # [m] of the maps: that of the mapper
-_BEHIND_M, _ASIDE_M = 0.7, 0.6  # [m] size of the maps behind the start and to each side
+_AROUND_M = 0.4  # [m] from the resting feet to the edges of the maps, more for a robot that searches footholds farther away
 _DEPTH_M = 0.5  # [m] of a gap
 _SIGMA_M = 0.001  # [m] of the heights
 _MAX_STEPS = 80
@@ -76,6 +76,8 @@ class _Walker:
         self._height = profile.stance.body_height
         self._rest = profile.rest_feet()
         self.half_length = float(np.abs(self._rest[:, 0]).max())  # [m] of the stance
+        around = max(_AROUND_M, 2.0 * profile.stance.search_radius)
+        self._behind, self._aside = (np.abs(self._rest[:, :2]).max(axis=0) + around).tolist()  # [m] size of the maps
         speed = np.array([profile.stance.max_speed, 0.0])
         self._command = VelocityCommand(0, speed, 0.0, self._height, min(_LIFT_M, profile.stance.max_lift))
 
@@ -83,7 +85,7 @@ class _Walker:
         """Return the limit among rising values of an obstacle.
 
         Args:
-            ground: Heights [m] of the ground at x [m], for a value of the obstacle.
+            ground: Returns heights [m] of the ground at x [m], given a value of the obstacle.
             values: Values to try.
             start: [m] where the obstacle begins.
         """
@@ -116,8 +118,8 @@ class _Walker:
 
     def _terrain(self, height: Callable[[Array], Array], length: float) -> Terrain:
         """Return the map of a ground whose height depends on x alone."""
-        nx, ny = (round(size / _RESOLUTION_M) for size in (_BEHIND_M + length, 2 * _ASIDE_M))
-        x = np.asarray(_RESOLUTION_M * np.arange(nx) - _BEHIND_M, dtype=np.float64)
+        nx, ny = (round(size / _RESOLUTION_M) for size in (self._behind + length, 2 * self._aside))
+        x = np.asarray(_RESOLUTION_M * np.arange(nx) - self._behind, dtype=np.float64)
         elevation = np.repeat(height(x)[:, None], ny, axis=1).astype(np.float32)
         variance = np.full_like(elevation, _SIGMA_M**2)
         made = FootholdLayers.of((nx, ny), _RESOLUTION_M, self._profile.foot.radius, FootholdLayersParams())
@@ -125,7 +127,7 @@ class _Walker:
         ground = TerrainMap(
             stamp_ns=0,
             resolution=_RESOLUTION_M,
-            origin=np.array([-_BEHIND_M, -_ASIDE_M]),
+            origin=np.array([-self._behind, -self._aside]),
             elevation=elevation,
             variance=variance,
             score=layers.score,

@@ -55,7 +55,7 @@ UNITS = Units(
 
 
 def full_torque_ticks(slope: int) -> int:
-    """Return the position error [ticks] at which a servo exerts its full torque, for a value of the compliance slope register.
+    """Return the position error [ticks] at which a servo exerts its full torque, given its compliance slope register.
 
     The AX-12A has seven compliance slopes, powers of two.
     """

@@ -1,4 +1,4 @@
-"""`sextant robot`: check and export of profiles."""
+"""`sextant robot`: check, export and import of profiles."""
 
 import json
 from pathlib import Path
@@ -63,3 +63,49 @@ def test_check_prints_limits_and_fails_if_one_is_not_met(tmp_path: Path, capsys:
     assert "FAIL  torque, tripod" in capsys.readouterr().out
     assert cli.main(["robot", "check", str(weak), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["passes"] is False
+
+
+@pytest.mark.parametrize("kind", ["urdf", "mjcf"])
+def test_import_writes_a_profile_that_later_commands_read(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exported, imported = tmp_path / "robot.xml", tmp_path / "robot.toml"
+    assert cli.main(["robot", "export", "phantomx_mk2", f"--{kind}", "--out", str(exported)]) == 0
+    capsys.readouterr()
+    assert cli.main(["robot", "import", str(exported), "--out", str(imported)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"{imported}: phantomx_mk2, whose feet agree with {exported} within 0.000 mm\n")
+    assert "left middle" in printed
+    assert load_profile(str(imported)).links == load_profile("phantomx_mk2").links
+    assert imported.read_text(encoding="utf-8").startswith("# Imported from robot.xml.\n# ")
+    assert cli.main(["robot", "import", str(exported), "--out", str(imported)]) == 2
+    assert "it exists; give another file with --out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["robot.urdf"], "--out expected, found none"),
+        (["nowhere.urdf", "--out", "x.toml"], "nowhere.urdf: no such file"),
+        (["robot.urdf", "--out", "robot.txt"], "a file that ends in .toml expected, found robot.txt"),
+        (
+            ["robot.urdf", "--out", "x.toml", "--foot", "1,2"],
+            "--foot: three lengths X,Y,Z of at most 10 m expected, found '1,2'",
+        ),
+        (["robot.urdf", "--out", "x.toml", "--forward", "z"], "--forward: unknown 'z'"),
+        (["robot.urdf", "--out", "x.toml", "--servo", "RX64"], "no servo model 'RX64'; did you mean 'RX-64'?"),
+        (["robot.urdf", "--out", "x.toml", "--joints", "none.toml"], "none.toml: no such file"),
+        (["empty.urdf", "--out", "x.toml"], "six legs of three joints at the trunk expected, found 0"),
+    ],
+)
+def test_invalid_import_is_reported_in_one_sentence(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("robot.urdf").write_text(urdf(load_profile("phantomx_mk2")), encoding="utf-8")
+    Path("empty.urdf").write_text('<robot name="empty"><link name="base"/></robot>', encoding="utf-8")
+    assert cli.main(["robot", "import", *words]) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert len(printed.err.splitlines()) == 1
+    assert not Path("x.toml").exists()

@@ -1,0 +1,1 @@
+"""Import of robot descriptions: links and joints as a robot profile."""

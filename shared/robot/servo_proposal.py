@@ -1,0 +1,58 @@
+"""Proposed servo data of a profile, by the model of the servos."""
+
+import math
+from dataclasses import replace
+from types import MappingProxyType
+
+from sextant.shared.robot.profile import Servo
+from sextant.shared.servo.models import MODEL_NAMED
+
+# [N m] stall torque of each model at its usual voltage: 14.8 V for the RX-64, 11.1 V for the XL430, 12 V for the others.
+STALL_TORQUES = MappingProxyType(
+    {
+        "AX-12A": 1.5,
+        "AX-18A": 1.8,
+        "AX-12W": 0.2,
+        "RX-28": 2.5,
+        "RX-64": 4.24,
+        "MX-28": 2.5,
+        "MX-64": 6.0,
+        "XL430-W250": 1.4,
+        "XC430-W150": 1.6,
+        "XC430-W240": 1.9,
+        "XM430-W350": 4.1,
+        "STS3215": 2.94,
+    }
+)
+_RX_64_SPEED = 5.36  # [rad/s] at 14.8 V; its model has the speed at 18.5 V
+_COMPLIANCE_SLOPE = 32  # the factory's
+_ARMATURE_PER_NM, _FRICTION_PER_NM = 0.002, 0.02  # [kg m^2] and [N m] per N m of stall torque, assumed: those of the AX-12A
+_DIGITS = 4
+
+
+def nearest_servo(stall_torque: float | None) -> str:
+    """Return the servo model whose stall torque [N m] is nearest in proportion; the AX-12A if it is unknown."""
+    if stall_torque is None:
+        return "AX-12A"
+    return min(STALL_TORQUES, key=lambda model: abs(math.log(stall_torque / STALL_TORQUES[model])))
+
+
+def proposed_servo(name: str, stall_torque: float | None = None) -> Servo:
+    """Return a servo with the data sheet of a model, the factory's gain, and assumed friction and armature.
+
+    The stall torque [N m] is that at the model's usual voltage, unless it is given.
+    """
+    model, torque = MODEL_NAMED[name], STALL_TORQUES[name] if stall_torque is None else stall_torque
+    gain = model.table.position_gain
+    servo = Servo(
+        model=name,
+        stall_torque=torque,
+        no_load_speed=_RX_64_SPEED if name == "RX-64" else round(model.no_load_speed, _DIGITS),
+        stiffness=1.0,
+        armature=round(_ARMATURE_PER_NM * torque, _DIGITS),
+        friction=round(_FRICTION_PER_NM * torque, _DIGITS),
+        compliance_slope=_COMPLIANCE_SLOPE if gain is None else 0,
+        position_gain=0 if gain is None else model.default(gain),
+        temperature_limit=float(model.default(model.table.temperature_limit)),
+    )
+    return replace(servo, stiffness=round(servo.nominal_stiffness, _DIGITS))

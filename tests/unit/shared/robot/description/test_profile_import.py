@@ -1,0 +1,236 @@
+"""Import of robot descriptions: the same kinematics for any frames, and an error for what does not fit."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.shared.geometry import exp_so3, rotation_z, transform
+from sextant.shared.robot.description.profile_import import import_profile, joint_names
+from sextant.shared.robot.description.robot_description import (
+    DescribedJoint,
+    DescribedLink,
+    DescriptionError,
+    RobotDescription,
+    Shape,
+    read_urdf,
+)
+from sextant.shared.robot.kinematics import body_forward
+from sextant.shared.robot.links import BASE, hinges
+from sextant.shared.robot.profile import LEGS, RobotProfile
+from sextant.shared.robot.profile_text import profile_text, write_new_profile
+from sextant.shared.robot.profiles import load_profile, profile_names
+from sextant.shared.robot.urdf import urdf
+
+PROFILE = load_profile("phantomx_mk2")
+TRUNK = Shape("box", np.eye(4), (0.12, 0.06, 0.02))
+
+
+def described(profile: RobotProfile, seed: int | None = None, bend: float = 0.0) -> RobotDescription:
+    """Describe a robot with arbitrary frames: each is turned at random, and some axes point the other way.
+
+    With a `bend` [rad], femur and tibia are bent at joint angle zero.
+    """
+    rng = np.random.default_rng(seed)
+    links, joints, turned = {BASE: DescribedLink(BASE, 1.4, np.zeros(3), (TRUNK,))}, [], {BASE: np.eye(4)}
+    for k, joint in enumerate(hinges(profile)):
+        axis = np.array(joint.axis)
+        G = np.eye(4) if seed is None else transform(exp_so3(rng.uniform(-2.0, 2.0, 3)), np.zeros(3))
+        sign = 1.0 if seed is None else rng.choice([-1.0, 1.0])
+        at_zero = bend if k % 3 else 0.0
+        T = joint.T_parent_child @ transform(exp_so3(at_zero * axis), np.zeros(3)) @ G
+        low, high = np.sort(sign * (profile.joint_limits.reshape(18, 2)[k] - at_zero)).tolist()
+        joints.append(
+            DescribedJoint(
+                joint.name,
+                joint.parent,
+                joint.child,
+                np.linalg.inv(turned[joint.parent]) @ T,
+                G[:3, :3].T @ (sign * axis),
+                limits=(low, high),
+                effort=1.5,
+                speed=6.178,
+            )
+        )
+        turned[joint.child] = G
+        length = (profile.links.coxa, profile.links.femur, profile.links.tibia)[k % 3]
+        tip = np.linalg.inv(G)[:3, :3] @ [length, 0.0, 0.0]
+        marks = {"foot": tip} if k % 3 == 2 else {}
+        links[joint.child] = DescribedLink(joint.child, 0.06, tip / 2, (), marks)
+    return RobotDescription("any", links, tuple(joints))
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_exported_urdf_is_imported_with_the_same_kinematics(name: str, tmp_path: Path) -> None:
+    robot = load_profile(name)
+    found = import_profile(read_urdf(urdf(robot)))
+    assert found.foot_error < 1e-9
+    q = np.random.default_rng(0).uniform(robot.joint_limits[..., 0], robot.joint_limits[..., 1], (100, 6, 3))
+    write_new_profile(tmp_path / "robot.toml", found.profile)
+    again = load_profile(str(tmp_path / "robot.toml"))
+    np.testing.assert_allclose(body_forward(again, q), body_forward(robot, q), atol=1e-6)
+    np.testing.assert_allclose(again.joint_limits, robot.joint_limits, atol=2e-6)
+    for part in ("mass", "leg_link_masses", "size", "centre_of_mass"):
+        np.testing.assert_allclose(getattr(again.body, part), getattr(robot.body, part), atol=1e-6)
+    assert (again.servo.model, again.servo.stall_torque) == (robot.servo.model, robot.servo.stall_torque)
+    assert again.foot == robot.foot
+    np.testing.assert_allclose(again.camera.T_body_camera, robot.camera.T_body_camera, atol=1e-5)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-0.8, 0.8))
+@settings(max_examples=25)
+def test_frames_signs_and_zero_angles_of_a_description_do_not_matter(seed: int, bend: float) -> None:
+    found = import_profile(described(PROFILE, seed, bend))
+    assert found.foot_error < 1e-6
+    for part in ("coxa", "femur", "tibia"):
+        assert getattr(found.profile.links, part) == pytest.approx(getattr(PROFILE.links, part), abs=1e-6)
+    q = np.random.default_rng(0).uniform(-0.5, 0.5, (20, 6, 3))
+    np.testing.assert_allclose(body_forward(found.profile, q), body_forward(PROFILE, q), atol=1e-6)
+    np.testing.assert_allclose(found.profile.joint_limits, PROFILE.joint_limits, atol=5e-6)
+    assert found.joints["right rear"] == ("right_rear_coxa", "right_rear_femur", "right_rear_tibia")
+
+
+def test_turned_robot_is_imported_by_its_front() -> None:
+    straight = described(PROFILE)
+    turn = transform(rotation_z(np.pi / 2), np.zeros(3))
+    joints = tuple(
+        replace(joint, T_parent_child=turn @ joint.T_parent_child) if joint.parent == BASE else joint
+        for joint in straight.joints
+    )
+    found = import_profile(replace(straight, joints=joints), forward="y")
+    np.testing.assert_allclose(found.profile.T_body_coxa, PROFILE.T_body_coxa, atol=1e-6)
+
+
+def changed(change: Callable[[DescribedJoint], DescribedJoint | None]) -> RobotDescription:
+    description = described(PROFILE)
+    kept = [new for joint in description.joints if (new := change(joint)) is not None]
+    links = {BASE, *(joint.child for joint in kept)}
+    return replace(description, joints=tuple(kept), links={k: v for k, v in description.links.items() if k in links})
+
+
+def named(name: str, **changes: object) -> Callable[[DescribedJoint], DescribedJoint]:
+    return lambda joint: replace(joint, **changes) if joint.name == name else joint  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("description", "words"),
+    [
+        (
+            lambda: changed(lambda joint: None if joint.name.startswith("left_rear") else joint),
+            r"six legs of three joints at the trunk expected, found 5 \(left_front_coxa-",
+        ),
+        (
+            lambda: changed(named("left_rear_tibia", axis=None)),
+            "six legs of three joints at the trunk expected, found 6 .*name the 18 joints",
+        ),
+        (
+            lambda: changed(named("left_rear_coxa", axis=np.array([1.0, 0.0, 0.0]))),
+            r"left rear leg, joint left_rear_coxa: a vertical coxa axis expected, found \(-0.707, 0.707, 0.000\)",
+        ),
+        (
+            lambda: changed(named("left_rear_femur", axis=np.array([0.0, 0.0, 1.0]))),
+            "left rear leg, joint left_rear_femur: a horizontal axis expected",
+        ),
+        (
+            lambda: changed(named("left_rear_tibia", axis=np.array([1.0, 0.0, 0.0]))),
+            "left rear leg, joint left_rear_tibia: an axis parallel to that of left_rear_femur expected",
+        ),
+        (
+            lambda: changed(named("left_rear_tibia", T_parent_child=transform(np.eye(3), (0.08, 0.0, 0.0)))),
+            "six legs of one size expected, found femur lengths of 0.0660 to 0.0800 m",
+        ),
+        (
+            lambda: changed(named("left_rear_tibia", T_parent_child=transform(np.eye(3), (0.066, 0.02, 0.0)))),
+            "a foot in the plane of coxa axis and leg expected, found it 20 mm off it",
+        ),
+        (
+            lambda: changed(named("left_middle_coxa", T_parent_child=transform(np.eye(3), (0.0, 0.0, 0.0)))),
+            "three legs on the left of x and three on the right expected, found 2 and 3; turn the robot with --forward",
+        ),
+        (lambda: changed(named("left_rear_coxa", parent="nowhere")), "joint left_rear_coxa: no link 'nowhere'"),
+    ],
+)
+def test_what_does_not_fit_is_an_error(description: Callable[[], RobotDescription], words: str) -> None:
+    with pytest.raises(DescriptionError, match=words):
+        import_profile(description())
+
+
+def test_description_without_masses_or_feet_is_an_error() -> None:
+    whole = described(PROFILE)
+    no_mass = {name: replace(link, mass=0.0) for name, link in whole.links.items()}
+    with pytest.raises(DescriptionError, match="a mass of the trunk and of each link"):
+        import_profile(replace(whole, links=no_mass))
+    no_feet = replace(whole, links={name: replace(link, marks={}) for name, link in whole.links.items()})
+    with pytest.raises(DescriptionError, match="give the foot's centre in the frame of that link with --foot"):
+        import_profile(no_feet)
+    found = import_profile(no_feet, foot=(PROFILE.links.tibia, 0.0, 0.0))
+    assert found.profile.links == PROFILE.links
+
+
+def test_table_of_joints_names_legs_and_leaves_other_hinges_out(tmp_path: Path) -> None:
+    whole = described(PROFILE)
+    mast = DescribedJoint("pan", BASE, "mast", np.eye(4), np.array([0.0, 0.0, 1.0]))
+    with_mast = replace(whole, links={**whole.links, "mast": DescribedLink("mast", 0.1)}, joints=(*whole.joints, mast))
+    with pytest.raises(DescriptionError, match=r"found 7 \(.*pan"):
+        import_profile(with_mast)
+    parts = ("coxa", "femur", "tibia")
+    lines = [f'"{leg}" = {[leg.replace(" ", "_") + "_" + part for part in parts]}' for leg in LEGS]
+    path = tmp_path / "joints.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    found = import_profile(with_mast, joint_names(path))
+    assert found.profile.body.mass == pytest.approx(1.5)
+    assert found.foot_error < 1e-9
+    for bad, words in (
+        (lines[1:], "left front: the names of coxa, femur, tibia joint expected, found None"),
+        ([*lines, "arm = 3"], "no leg 'arm'"),
+        ([lines[0].replace("left_front_femur", "left_front_coxa"), *lines[1:]], "each joint once expected"),
+    ):
+        path.write_text("\n".join(bad), encoding="utf-8")
+        with pytest.raises(DescriptionError, match=words):
+            joint_names(path)
+    path.write_text("\n".join(lines).replace("left_front_femur", "left_front_femurr"), encoding="utf-8")
+    with pytest.raises(DescriptionError, match="no hinge 'left_front_femurr'; did you mean 'left_front_femur'"):
+        import_profile(with_mast, joint_names(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<robot", "XML expected"),
+        ("<mujoco/>", "a <robot> of URDF expected, found <mujoco>"),
+        ('<robot><joint name="j" type="revolute"/></robot>', "joint j: <parent> and <child> expected"),
+        (
+            '<robot><joint name="j" type="prismatic"><parent link="a"/><child link="b"/></joint></robot>',
+            "joint j: a revolute, continuous or fixed joint expected, found 'prismatic'",
+        ),
+        (
+            '<robot><joint name="j" type="fixed"><origin xyz="1 2"/><parent link="a"/><child link="b"/></joint></robot>',
+            "joint j: three numbers expected in xyz, found '1 2'",
+        ),
+        (
+            '<robot><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+            '<limit lower="1" upper="0"/></joint></robot>',
+            "joint j: a lower limit below the upper one expected, found 1 and 0",
+        ),
+        (
+            '<robot><link name="a"><inertial><mass value="heavy"/></inertial></link></robot>',
+            "link a: a number expected in value",
+        ),
+        ("<robot/>", "one link without a parent expected, found 0"),
+    ],
+)
+def test_invalid_urdf_is_an_error(text: str, words: str) -> None:
+    with pytest.raises(DescriptionError, match=words):
+        import_profile(read_urdf(text))
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_text_of_a_profile_is_read_as_the_same_profile(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    profile = replace(load_profile(name), name='a "robot" \\ of\tthe house')
+    path.write_text(profile_text(profile, ["one", "two"]), encoding="utf-8")
+    assert load_profile(str(path)) == profile

@@ -1,0 +1,34 @@
+"""Proposed servos: data of their models, and the torques that the simulator has, too."""
+
+import pytest
+
+from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.servo_proposal import STALL_TORQUES, nearest_servo, proposed_servo
+from sextant.shared.servo.models import MODEL_NAMED
+
+
+def test_every_model_has_the_torque_of_its_simulated_motor() -> None:
+    assert {name: motor.stall_torque for name, (motor, _) in MOTOR_AND_SUPPLY.items()} == dict(STALL_TORQUES)
+    assert set(STALL_TORQUES) == set(MODEL_NAMED)
+
+
+@pytest.mark.parametrize("name", sorted(STALL_TORQUES))
+def test_proposed_servo_has_the_data_of_its_model(name: str) -> None:
+    servo, model = proposed_servo(name), MODEL_NAMED[name]
+    assert servo.model == name
+    assert servo.stiffness == pytest.approx(servo.nominal_stiffness, rel=1e-3)
+    assert servo.no_load_speed <= 1.001 * model.no_load_speed
+    assert servo.temperature_limit == model.default(model.table.temperature_limit)
+    doubled = proposed_servo(name, 2.0 * servo.stall_torque)
+    assert doubled.stiffness == pytest.approx(2.0 * servo.stiffness, rel=1e-3)
+
+
+def test_proposed_servos_are_those_of_the_shipped_profiles() -> None:
+    for robot in ("phantomx_mk2", "lotriet_rx64"):
+        servo = load_profile(robot).servo
+        proposed = proposed_servo(nearest_servo(servo.stall_torque))
+        for value in ("model", "stall_torque", "compliance_slope", "temperature_limit"):
+            assert getattr(proposed, value) == getattr(servo, value)
+        assert (proposed.stiffness, proposed.no_load_speed) == pytest.approx((servo.stiffness, servo.no_load_speed), rel=0.01)
+    assert nearest_servo(None) == "AX-12A"
