@@ -6,7 +6,9 @@ Sources: Feetech's memory table of the STS series, and the register tables of Le
 """
 
 import math
+from collections.abc import Iterable
 
+from sextant.shared.servo import dynamixel
 from sextant.shared.servo.dynamixel import (
     ALERT,
     BROADCAST_ID,
@@ -18,13 +20,12 @@ from sextant.shared.servo.dynamixel import (
     instruction_parser,
     ping,
     read,
-    request,
     status,
     sync_write,
     sync_write_rows,
     write,
 )
-from sextant.shared.servo.servo_model import ControlTable, ServoError, Sign, Units, measured, setting
+from sextant.shared.servo.servo_model import ControlTable, Kind, Packet, Request, ServoError, Sign, Units, measured, setting
 
 __all__ = [
     "ALERT",
@@ -43,10 +44,27 @@ __all__ = [
     "read",
     "request",
     "status",
+    "sync_read",
     "sync_write",
     "sync_write_rows",
     "write",
 ]
+
+_SYNC_READ = 0x82
+
+
+def sync_read(address: int, size: int, ids: Iterable[int]) -> bytes:
+    """Encode a read of `size` bytes at one address of several servos, which answer in this order."""
+    return dynamixel.encode(BROADCAST_ID, _SYNC_READ, bytes((address, size, *ids)))
+
+
+def request(packet: Packet) -> Request | None:
+    """Return what an instruction packet asks; None if no servo can execute it."""
+    given = packet.parameters
+    if packet.code == _SYNC_READ and packet.servo_id == BROADCAST_ID and len(given) > 2:
+        return Request(Kind.SYNC_READ, given[0], given[1], rows=tuple((servo_id, b"") for servo_id in given[2:]))
+    return dynamixel.request(packet)
+
 
 # Bits of an answer and of the status register. A servo does not report a refused instruction.
 _BITS = {

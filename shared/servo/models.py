@@ -83,6 +83,7 @@ STS3215 = ServoModel(
     recovery=Recovery.TORQUE_ENABLE,
     errors=ServoError.INPUT_VOLTAGE | ServoError.OVERHEATING | ServoError.OVERLOAD | ServoError.HARDWARE,
     gain_stiffness=17.8 / 2.94 / 32,  # identified 17.8 N m/rad at a gain of 32 (Open Duck Mini), with 2.94 N m of stall torque
+    sync_read=feetech.sync_read,
     unlocks=True,
 )
 
@@ -104,6 +105,7 @@ def _x430(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0
         recovery=Recovery.REBOOT,
         errors=ALL_OF_PROTOCOL_1 | ServoError.HARDWARE,
         eeprom_needs_torque_off=True,
+        sync_read=dynamixel2.sync_read,
         gain_stiffness=1.0 / (128.0 * x_series.MAX_PWM * units.tick_rad),
     )
 

@@ -371,6 +371,9 @@ _HARDWARE_ERRORS = {
 }
 
 
+SyncRead = Callable[[int, int, Iterable[int]], bytes]  # of address, size [bytes] and ids
+
+
 class Recovery(StrEnum):
     """Way to end the shutdown of a servo."""
 
@@ -396,6 +399,7 @@ class ServoModel:
     errors: ServoError = ALL_OF_PROTOCOL_1  # all that its answers can report
     gain_stiffness: float = 0.0  # [1/rad] share of the stall torque per position error and unit of the position gain
     eeprom_needs_torque_off: bool = False
+    sync_read: SyncRead | None = None  # encodes a read of several servos, where the family has it
     unlocks: bool = False  # whether writing 0 ends the lock; otherwise only a power cycle does
 
     @property

@@ -7,7 +7,6 @@ broken, refused and implausible packets are counted by reason, and the last read
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, PingResponses, Problem
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
-from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State, state_decoder
+from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, state_decoder
 from sextant.services.actuator.servo_bus.serial_port import (
     BAUD_RATE,
     LOST,
@@ -27,9 +26,10 @@ from sextant.services.actuator.servo_bus.serial_port import (
     gone,
     open_port,
 )
+from sextant.services.actuator.servo_bus.servo_reading import ServoReading, reading
 from sextant.shared.servo import dynamixel2
 from sextant.shared.servo.models import AX_12A
-from sextant.shared.servo.servo_model import REFUSAL, Packet, Register, ServoError, ServoModel, Units
+from sextant.shared.servo.servo_model import REFUSAL, Packet, Register, ServoError, ServoModel, SyncRead
 
 __all__ = [
     "BAUD_RATE",
@@ -57,45 +57,12 @@ _LOSS_WINDOW_NS = 200_000_000  # [ns]
 _NOISY_NS = 1_000_000_000  # [ns] after a lost request for which the bus counts as noisy
 _MAX_PACKET_BYTES = 256  # [bytes] largest length that a packet header can announce
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
+_BYTE_NS = 10_000  # [ns] of a byte at the usual rate
 _NS_PER_S = 1e9
 
 
 class BusSetupError(ConnectionError):
     """The bus lacks servos that the robot needs; the message names the remedy."""
-
-
-@dataclass(frozen=True, slots=True)
-class ServoReading:
-    """Measurements of one servo."""
-
-    index: int  # in the driver's list of ids
-    servo_id: int
-    stamp_ns: int  # [ns] when it was requested; the servo sampled after that, within the answer time
-    told_ns: int  # [ns] when goals were last sent before that, or accepted by a microcontroller; long ago if never
-    position_ticks: int  # position register
-    position: float  # [rad] servo angle, counterclockwise positive
-    speed: float  # [rad/s] counterclockwise positive
-    load: float  # fraction of the stall torque, counterclockwise positive
-    voltage: float  # [V]
-    temperature: float  # [deg C]
-    error: ServoError
-
-
-def reading(index: int, servo_id: int, told_ns: int, state: State, error: ServoError, units: Units) -> ServoReading:
-    """Return the reading from a servo's state."""
-    return ServoReading(
-        index=index,
-        servo_id=servo_id,
-        stamp_ns=state.stamp_ns,
-        told_ns=told_ns,
-        position_ticks=state.position,
-        position=(state.position - units.centre) * units.tick_rad,
-        speed=state.speed * units.speed_rad_s,
-        load=state.load * units.load,
-        voltage=state.voltage * units.volt,
-        temperature=float(state.temperature),
-        error=error,
-    )
 
 
 def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64]:
@@ -371,6 +338,8 @@ class ServoBus:
         Raises:
             BusDisconnectedError: The port is gone.
         """
+        if self.model.sync_read is not None:
+            return self._poll_together(self.model.sync_read, budget_ns, first)
         readings: list[ServoReading] = []
         start = self._clock()
         end = start + budget_ns
@@ -389,8 +358,7 @@ class ServoBus:
                     ahead.remove(i)
                 elif i in urgent:  # already read
                     continue
-            if self._skips[i]:
-                self._skips[i] -= 1
+            if self._is_skipped(i):
                 continue
             found = self._look(i, end)
             if found is not None:
@@ -428,12 +396,8 @@ class ServoBus:
             answer = self._line.exchange(self._requests[index], self.servo_ids[index], self._table.state.size, end_ns, start)
             done = self._clock()
             heard = answer is not None and not self._refuses(answer)
-            found = self._believed(index, start, answer, done) if heard and answer is not None else None
-            if not heard:
-                self._loss.note(done, True)
+            found = self._taken(index, start, answer if heard else None, done)
             if found is not None:
-                self.missed[index], self._backoff[index] = 0, 1
-                self._read_ns[index] = start
                 # A longer time is no property of the bus: this process was suspended meanwhile.
                 took = min(done - start, self._line.reply_timeout_ns)
                 self._typical_ns += (took - self._typical_ns) // _SMOOTHING
@@ -443,6 +407,46 @@ class ServoBus:
         if not heard:
             self._leave_alone(index)
         return None
+
+    def _poll_together(self, sync_read: SyncRead, budget_ns: int, first: Sequence[int]) -> list[ServoReading]:
+        """Read as many servos as fit a time budget with one request, then those again whose answers are missing or doubtful."""
+        start = self._clock()
+        end = start + budget_ns
+        answer_ns = (self._protocol.OVERHEAD + self._table.state.size) * _BYTE_NS
+        most = int((budget_ns - _TYPICAL_NS) // answer_ns) + 1 if budget_ns > 0 else 0
+        turn = (*first, *self._again, *((self._next + k) % len(self) for k in range(len(self))))
+        asked = [i for i in dict.fromkeys(turn) if not self._is_skipped(i)][:most]
+        if not asked:
+            return []
+        self._next = (asked[-1] + 1) % len(self)
+        ids, state = [self.servo_ids[i] for i in asked], self._table.state
+        answers = self._line.exchange_together(sync_read(state.address, state.size, ids), ids, state.size, start)
+        done = self._clock()
+        taken = {i: self._taken(i, start, answers.get(self.servo_ids[i]), done) for i in asked}
+        self._again = []
+        for i in asked:
+            self._asked_ns[i] = start
+            taken[i] = taken[i] or self._look(i, end)
+            if taken[i] is None and self.missed[i] <= _AT_ONCE:
+                self._again.append(i)
+        return [found for found in taken.values() if found is not None]
+
+    def _is_skipped(self, index: int) -> bool:
+        """Return whether to leave out a silent servo in this turn."""
+        skipped = self._skips[index] > 0
+        self._skips[index] -= skipped
+        return skipped
+
+    def _taken(self, index: int, stamp_ns: int, answer: Packet | None, now_ns: int) -> ServoReading | None:
+        """Return the reading in an answer, or None without an answer or if it is not plausible yet."""
+        if answer is None:
+            self._loss.note(now_ns, True)
+            return None
+        found = self._believed(index, stamp_ns, answer, now_ns)
+        if found is not None:
+            self.missed[index], self._backoff[index] = 0, 1
+            self._read_ns[index] = stamp_ns
+        return found
 
     def _is_noisy(self, index: int, now_ns: int) -> bool:
         """Return whether answers were recently lost or broken.

@@ -11,7 +11,7 @@ import re
 import socket
 import termios
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from enum import StrEnum
 from typing import Any, Protocol
@@ -35,6 +35,8 @@ _UNASKED_NS = 1_100_000_000  # [ns] of silence of another device: many send once
 _UNASKED_BYTES, _UNASKED_READS = 64, 2000  # limits of bytes and reads from it
 _READ_ALL_BYTES = 4096  # [bytes] to read at once: more than can arrive within a timeout
 _SIMULATOR_S = 1.0  # [s] of real time after which the simulator does not answer any more
+_UNDERWAY_NS = 2_000_000  # [ns] of a USB transaction and the return delays, after which all answers have arrived
+_BYTE_NS = 10_000  # [ns] of a byte at the usual rate
 _NS_PER_S = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
 _LAST_PORT = 65535
@@ -236,6 +238,44 @@ class SerialLine:
         if answer is None:
             self._stale, self._settled_ns = True, self._clock() + _SETTLES_NS
         return answer
+
+    def exchange_together(self, request: bytes, servo_ids: Sequence[int], size: int, now_ns: int) -> dict[int, Packet]:
+        """Send a request to several servos, which answer one after the other, and return their answers by id.
+
+        A missing answer is counted. `now_ns` [ns] is the present time; the answers have `size` parameters.
+
+        Raises:
+            BusDisconnectedError: The port is gone.
+        """
+        if self._parser.pending:
+            self._parser.flush()
+        self.send(request, now_ns)
+        whole, found = self._protocol.OVERHEAD + size, dict[int, Packet]()
+        deadline = now_ns + len(servo_ids) * whole * _BYTE_NS + _UNDERWAY_NS
+        while len(found) < len(servo_ids):
+            data = self._receive(max((len(servo_ids) - len(found)) * whole - self._parser.pending, 1))
+            if data is None:
+                break
+            self._keep_answers(self._parser.feed(data), servo_ids, size, found)
+            if self._clock() >= deadline:  # the rest is missing: this read has waited for it
+                break
+        if len(found) < len(servo_ids):
+            self._keep_answers(self._parser.flush(), servo_ids, size, found)
+        missing = len(servo_ids) - len(found)
+        if missing:
+            self.lost[Lost.TIMEOUT] += missing
+            self._stale, self._settled_ns = True, self._clock() + _SETTLES_NS
+        return found
+
+    def _keep_answers(self, packets: Iterable[Packet], servo_ids: Sequence[int], size: int, found: dict[int, Packet]) -> None:
+        """Add answers with `size` parameters of servos that were asked and have not answered yet."""
+        for packet in packets:
+            if packet.servo_id not in servo_ids or packet.servo_id in found:
+                self.lost[Lost.STRANGER] += 1
+            elif len(packet.parameters) != size:
+                self.lost[Lost.SIZE] += 1
+            else:
+                found[packet.servo_id] = packet
 
     def overhear(self, request: bytes) -> tuple[list[Packet], bool]:
         """Return all packets after a request, and whether anything else came.

@@ -163,3 +163,42 @@ def test_settings_and_overrides_name_registers(model: ServoModel) -> None:
     assert set(model.settings) | set(model.overrides) <= names
     assert all(register.min <= value <= register.max for register, value in model.joint_settings.items())
     assert model.rates[model.rate_code(1_000_000)] == 1_000_000
+
+
+SYNC = [model.name for model in MODELS if model.sync_read is not None]
+
+
+@pytest.mark.parametrize("name", SYNC)
+def test_one_request_reads_all_servos_in_the_time_of_a_cycle(name: str) -> None:
+    bench = Bench(name, 18)
+    bench.bus.setup()
+    bench.pass_time(0.02)
+    before, start = bench.emulator.counts.instructions.total(), bench.port.now_ns()
+    readings = bench.bus.poll(9_000_000)
+    assert [one.servo_id for one in readings] == list(range(1, 19))
+    assert bench.emulator.counts.instructions.total() == before + 1
+    assert bench.port.now_ns() - start <= 9_000_000
+
+
+@pytest.mark.parametrize("name", SYNC)
+def test_silent_servo_is_asked_again_alone_and_then_seldom(name: str) -> None:
+    bench = Bench(name, 6)
+    bench.bus.setup()
+    bench.pass_time(0.02)
+    assert len(bench.bus.poll(9_000_000)) == 6
+    bench.emulator.cut_off(frozenset((2,)))
+    turns = []
+    for _ in range(30):
+        bench.pass_time(0.02)
+        before = bench.emulator.counts.unanswered
+        assert [one.servo_id for one in bench.bus.poll(9_000_000)] == [1, 2, 4, 5, 6]
+        turns.append(bench.emulator.counts.unanswered - before)
+    assert bench.bus.missed.tolist() == [0, 0, bench.bus.missed[2], 0, 0, 0]
+    assert sum(turns[:3]) == 3
+    assert sum(turns[10:]) <= 4
+    bench.emulator.cut_off(frozenset())
+    for _ in range(9):
+        bench.pass_time(0.02)
+        readings = bench.bus.poll(9_000_000)
+    assert len(readings) == 6
+    assert not bench.bus.missed.any()
