@@ -64,6 +64,7 @@ RUN_BY = {
     "record": "tests/live/test_recording.py::test_killed_recorder_loses_less_than_one_second",
     "video": "tests/unit/evaluation/video/test_video.py::test_video_command_renders_run_and_prints_summary",
     "robot check": "tests/unit/deploy/test_robot_command.py::test_check_prints_limits_and_fails_if_one_is_not_met",
+    "robot new": "tests/unit/deploy/test_robot_command.py::test_new_asks_for_measures_and_writes_a_profile_that_passes",
     "robot import": "tests/unit/deploy/test_robot_command.py::test_import_writes_a_profile_that_later_commands_read",
     "robot export": "tests/unit/deploy/test_robot_command.py::test_export_writes_file_or_prints",
     "recording info": "tests/unit/shared/recording/test_recovery.py::test_info_command_lists_content",

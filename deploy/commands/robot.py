@@ -1,16 +1,20 @@
-"""`sextant robot`: check of robot profiles, and profiles from and for other tools."""
+"""`sextant robot`: new robot profiles, their check, and profiles from and for other tools."""
 
+import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from click import UsageError
+
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, say
-from sextant.deploy.terminal.arguments import Choice, Group, Parsed, argument, flag, option
+from sextant.deploy.terminal.arguments import Choice, Group, Parsed, argument, flag, number, option, options_of
 
 if TYPE_CHECKING:
     from sextant.shared.robot.description.robot_description import RobotDescription
 
-robot = Group("robot", "Check a robot profile, or convert it from and to URDF and MJCF.")
+robot = Group("robot", "Make and check a robot profile, or convert it from and to URDF and MJCF.")
 
 
 @robot.command("export")
@@ -111,3 +115,78 @@ def _described(file: Path) -> "RobotDescription":
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[simulator]'") from None
     return read_mjcf(file)
+
+
+_LENGTH, _MASS = number(0.005, 0.5, "a length in metres"), number(0.1, 30.0, "a mass in kilograms")
+_QUESTIONS = {  # what is asked, and its value for a PhantomX
+    "coxa": ("from coxa axis to femur axis [m]", _LENGTH, 0.052),
+    "femur": ("from femur axis to tibia axis [m]", _LENGTH, 0.066),
+    "tibia": ("from tibia axis to the foot's centre [m]", _LENGTH, 0.133),
+    "front": ("coxa axes of the front legs ahead of the body's middle [m]", _LENGTH, 0.120),
+    "side": ("the same axes to the side of the body's middle [m]", _LENGTH, 0.060),
+    "middle": ("coxa axes of the middle legs to the side of the body's middle [m]", _LENGTH, 0.100),
+    "mass": ("mass of the whole robot [kg]", _MASS, 2.5),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    """Measures that options gave, in the order of the questions; None: to be asked for."""
+
+    coxa: float | None
+    femur: float | None
+    tibia: float | None
+    front: float | None
+    side: float | None
+    middle: float | None
+    mass: float | None
+
+
+@robot.command("new")
+@option("--out", "profile to write, a new file that ends in .toml", "PROFILE", required=True)
+@options_of(
+    _Measured, "measured", *(option(f"--{name}", about, "X", type=kind) for name, (about, kind, _) in _QUESTIONS.items())
+)
+@option("--servo", "model of the servos", "MODEL", default="AX-12A")
+def new(out: str, measured: _Measured, servo: str) -> int:
+    """Write a profile from a few measures, and check it.
+
+    It asks for the measures that no option gives. The robot is symmetric, with straight brackets. Stance, limits and camera are
+    proposed.
+    """
+    from sextant.evaluation.robot_check.robot_check import check_robot
+    from sextant.evaluation.robot_check.slowed_robot import slow_down
+    from sextant.shared.robot.new_profile import Measures, new_profile
+    from sextant.shared.robot.profile_text import require_new_file, write_new_profile
+    from sextant.shared.servo.models import MODEL_NAMED
+    from sextant.shared.spelling import hint
+
+    if servo not in MODEL_NAMED:
+        raise InputError(f"--servo: no servo model {servo!r}; {hint(servo, list(MODEL_NAMED))}")
+    require_new_file(Path(out))
+    given = {name: _asked(name) if measure is None else measure for name, measure in asdict(measured).items()}
+    made = slow_down(new_profile(Path(out).stem, Measures(**given, servo=servo)))
+    words = [f"{name} = {measure:g}: {_QUESTIONS[name][0]}" for name, measure in given.items()]
+    note = "Stance, joint limits, masses of the links, camera and servo ids 1 to 18 are proposed: see docs/your_robot.md."
+    write_new_profile(Path(out), made, ["Made by `sextant robot new` from measures:", *words, note])
+    found = check_robot(made)
+    for limit in found.limits:
+        if not limit.is_met:
+            say(f"FAIL  {limit.name}: {limit.sentence}")
+    say(f"{out}: {'passes' if found.passes else 'fails'} the check; `sextant robot check {out}` prints all of it")
+    return SUCCESS if found.passes else FAILED
+
+
+def _asked(name: str) -> float:
+    """Ask for a measure until the answer is valid."""
+    about, kind, example = _QUESTIONS[name]
+    while True:
+        sys.stdout.write(f"{name}: {about}, {example:g} for a PhantomX: ")
+        sys.stdout.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise InputError(f"an answer expected, found the end of the input; in a script, give --{name}")
+        try:
+            return float(kind.convert(line.strip(), None, None))
+        except UsageError as error:
+            say(error.message)

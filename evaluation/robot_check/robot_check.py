@@ -20,8 +20,8 @@ from sextant.shared.robot.reach import height_range, joint_room, least_support_m
 from sextant.shared.servo.protection import Protection
 
 _PROTECTION = Protection()
-_MIN_MINUTES = 20.0  # [min] of walking that the servos must bear, about what a battery lasts
-_MAX_SPEED_SHARE = 0.9  # [1] of the no-load speed: faster joints are late
+MIN_MINUTES = 20.0  # [min] of walking that the servos must bear, about what a battery lasts
+MAX_SPEED_SHARE = 0.9  # [1] of the no-load speed: faster joints are late
 _STIFFNESS_SHARE = 0.25  # [1] by which the stiffness may differ from stall torque over compliance slope
 _MIN_OBSTACLE_M, _MIN_SLOPE_DEG = 0.02, 3.0  # obstacles that any walking robot must pass
 _STAND = "stand"
@@ -152,8 +152,8 @@ def _joints(profile: RobotProfile, cycle: GaitCycle) -> Iterator[Limit]:
     worst = int(np.argmax(fastest))
     share = f"{fastest[worst]:.0%} of servo.no_load_speed"
     words = f"the {JOINTS[worst]} turns fastest, at {share}; a lower stance.foot_speed slows swings"
-    is_met = bool(fastest[worst] <= _MAX_SPEED_SHARE)
-    yield Limit("joint speed", float(fastest[worst]), _MAX_SPEED_SHARE, "of no-load speed", is_met, words)
+    is_met = bool(fastest[worst] <= MAX_SPEED_SHARE)
+    yield Limit("joint speed", float(fastest[worst]), MAX_SPEED_SHARE, "of no-load speed", is_met, words)
 
 
 def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
@@ -187,7 +187,7 @@ def _heat(profile: RobotProfile, load: Load) -> Limit:
         f"walking in the tripod gait lasts {lasts}: the {joint} takes {torque:.2f} N m rms and heats to {load.temperature:.0f} "
         "deg C in the end; a lower stance.foot_speed, a longer stance.step_s or nearer feet cool it"
     )
-    return Limit("heat", load.minutes, _MIN_MINUTES, "min", load.minutes >= _MIN_MINUTES, words)
+    return Limit("heat", load.minutes, MIN_MINUTES, "min", load.minutes >= MIN_MINUTES, words)
 
 
 def _speed(profile: RobotProfile, cycle: GaitCycle) -> Limit:

@@ -39,6 +39,14 @@ def profile_text(profile: RobotProfile, heading: Sequence[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
+def require_new_file(path: Path) -> None:
+    """Raise ConfigError if a path is not that of a new TOML file."""
+    if path.suffix != ".toml":
+        raise config.ConfigError("--out", [f"a file that ends in .toml expected, found {path}"])
+    if path.exists():
+        raise config.ConfigError(str(path), ["it exists; give another file with --out"])
+
+
 def write_new_profile(path: Path, profile: RobotProfile, heading: Sequence[str] = ()) -> None:
     """Write a profile to a new file, and read it again, because a later command must accept it.
 
@@ -46,10 +54,7 @@ def write_new_profile(path: Path, profile: RobotProfile, heading: Sequence[str] 
         ConfigError: The path is not that of a new TOML file, or the profile is invalid; then nothing is written.
         WriteError: The file cannot be written.
     """
-    if path.suffix != ".toml":
-        raise config.ConfigError("--out", [f"a file that ends in .toml expected, found {path}"])
-    if path.exists():
-        raise config.ConfigError(str(path), ["it exists; give another file with --out"])
+    require_new_file(path)
     whole_files.write_text(path, profile_text(profile, heading))
     try:
         load_profile(str(path))

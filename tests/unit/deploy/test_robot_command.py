@@ -1,5 +1,6 @@
-"""`sextant robot`: check, export and import of profiles."""
+"""`sextant robot`: new profiles, and their check, export and import."""
 
+import io
 import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -109,3 +110,50 @@ def test_invalid_import_is_reported_in_one_sentence(
     assert message in printed.err
     assert len(printed.err.splitlines()) == 1
     assert not Path("x.toml").exists()
+
+
+MEASURES = {"coxa": 0.045, "femur": 0.06, "tibia": 0.11, "front": 0.085, "side": 0.045, "middle": 0.07, "mass": 1.6}
+
+
+@pytest.mark.slow
+def test_new_asks_for_measures_and_writes_a_profile_that_passes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked, given = tmp_path / "asked.toml", tmp_path / "given.toml"
+    answers = [str(measure) for measure in MEASURES.values()]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(["sixty", *answers]) + "\n"))
+    assert cli.main(["robot", "new", "--out", str(asked)]) == 0
+    printed = capsys.readouterr().out
+    assert "a length in metres from 0.005 to 0.5 expected, found 'sixty'" in printed
+    assert f"{asked}: passes the check" in printed
+    options = [word for name, measure in MEASURES.items() for word in (f"--{name}", str(measure))]
+    assert cli.main(["robot", "new", "--out", str(given), *options]) == 0
+    first, second = load_profile(str(asked)), load_profile(str(given))
+    assert (first.links, first.stance, first.legs, first.body) == (second.links, second.stance, second.legs, second.body)
+    assert (first.links.coxa, first.links.femur, first.links.tibia) == (0.045, 0.06, 0.11)
+    assert first.body.total_mass == pytest.approx(1.6)
+
+
+@pytest.mark.slow
+def test_new_robot_that_is_too_heavy_fails_the_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = [word for name, measure in (MEASURES | {"mass": 12.0}).items() for word in (f"--{name}", str(measure))]
+    assert cli.main(["robot", "new", "--out", str(tmp_path / "heavy.toml"), *options]) == 1
+    assert "FAIL  torque, tripod" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--out", "new.toml"], "an answer expected, found the end of the input; in a script, give --coxa"),
+        (["--out", "new.toml", "--coxa", "52"], "--coxa: a length in metres from 0.005 to 0.5 expected, found '52'"),
+        (["--out", "new.toml", "--servo", "AX12A"], "--servo: no servo model 'AX12A'; did you mean 'AX-12A'?"),
+        ([], "--out expected, found none"),
+    ],
+)
+def test_invalid_measures_are_reported_in_one_sentence(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert cli.main(["robot", "new", *words]) == 2
+    assert message in capsys.readouterr().err
