@@ -7,13 +7,18 @@ from collections.abc import Callable
 from random import Random
 from typing import Any
 
+import numpy as np
+
 from benchmarks.fuzz import message_corpus, recording_mutators
 from benchmarks.fuzz.file_targets import file_targets
 from benchmarks.fuzz.mutators import broken, odd, odd_table
 from benchmarks.fuzz.target import Target
 from sextant.deploy.ros2 import message_types as ros
 from sextant.deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
+from sextant.deploy.ros2.depth_images import CAMERA_INFO, IMAGE, read_depth
 from sextant.services.console.config import Settings
+from sextant.services.console.drive.gamepad import GamepadError, events_of
+from sextant.services.console.drive.keyboard import UNKNOWN, Keyboard
 from sextant.services.console.web import requests
 from sextant.services.console.web.connection import SOCKET, Connection
 from sextant.services.console.web.origin_policy import PROTOCOL, OriginPolicy, RejectionLog
@@ -26,6 +31,7 @@ from sextant.shared.wire.codec import DecodeError
 
 _EXAMPLES = 32  # examples of a message
 _PREFIX = struct.Struct("<I")
+_JOYSTICK = struct.Struct("<IhBB")  # event of a joystick: time, value, type, number
 _ALIGNMENT = 8
 
 
@@ -40,6 +46,11 @@ def targets(rng: Random) -> tuple[Target, ...]:
         Target("bridge, host", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.TO_HOST)),
         Target("bridge, board", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.FROM_HOST)),
         *(_of_twist(kind) for kind in (TWIST, TWIST_STAMPED)),
+        _of_depth_image(),
+        Target("drive, keys", (b"wwww sd\x1b[A\x1bOC\x03",), _broken_behind(0), _take_keys),
+        Target(
+            "drive, gamepad", (_JOYSTICK.pack(1, 0, 0x82, 1) + _JOYSTICK.pack(2, 1, 1, 4),), _broken_behind(0), _take_gamepad
+        ),
         Target("page, request", tuple(text.encode() for text in _asked()), _odd_request, _take_request),
         _of_socket(),
         Target("recording", recording_mutators.examples(rng), recording_mutators.twisted, recording_mutators.Taker().take),
@@ -169,6 +180,45 @@ def _of_twist(kind: str) -> Target:
         _broken_behind(4),
         take,
     )
+
+
+def _of_depth_image() -> Target:
+    lens = np.array([58.5, 0.0, 31.5, 0.0, 58.5, 23.5, 0.0, 0.0, 1.0])
+    projection = np.array([58.5, 0.0, 31.5, 0.0, 0.0, 58.5, 23.5, 0.0, 0.0, 0.0, 1.0, 0.0])
+    header, region = ros.Header(ros.Time(1, 2), "camera"), ros.RegionOfInterest(0, 0, 0, 0, False)
+    info = ros.CameraInfo(header, 48, 64, "plumb_bob", np.zeros(5), lens, np.eye(3).ravel(), projection, 0, 0, region)
+    about = ros.encode(CAMERA_INFO, info)
+    examples = tuple(
+        ros.encode(IMAGE, ros.Image(header, 48, 64, encoding, 0, 64 * size, np.full(48 * 64 * size, 7, np.uint8)))
+        for encoding, size in (("16UC1", 2), ("32FC1", 4))
+    )
+
+    def take(data: bytes) -> bool:
+        try:
+            read_depth(data, about, 1000.0, lambda at_ns: at_ns)
+        except ros.CdrError:
+            return False
+        return True
+
+    return Target("ROS 2, Image", examples, _broken_behind(4), take)
+
+
+# ------------------------------------------------------------------------------------------------------ keys and gamepad
+
+
+def _take_keys(data: bytes) -> bool:
+    keyboard = Keyboard()
+    others = keyboard.read(data, 0)
+    keyboard.motion.wish(0)
+    return UNKNOWN not in others
+
+
+def _take_gamepad(data: bytes) -> bool:
+    try:
+        list(events_of(data))
+    except GamepadError:
+        return False
+    return True
 
 
 # -------------------------------------------------------------------------------------------------------------- the page
