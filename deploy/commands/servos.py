@@ -5,7 +5,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import date
@@ -20,9 +20,11 @@ from sextant.deploy.terminal.interrupts import Interrupts
 
 if TYPE_CHECKING:
     from sextant.services.actuator.commissioning.set_ids import Found, Line
+    from sextant.services.actuator.servo_bus.bus_scan import Problem
     from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
     from sextant.shared.robot.profile import RobotProfile
+    from sextant.shared.servo.servo_model import ServoModel
 
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
@@ -104,19 +106,23 @@ def _forget_typed_ahead() -> None:
 
 @servos.command("scan")
 @_of_bus
-@option("--ids", "servo ids to scan, B not included", "A:B", type=Parsed(options.servo_ids, "ids"), default="0:254")
+@option("--ids", "servo ids to scan, B not included (default: all)", "A:B", type=Parsed(options.servo_ids, "ids"))
+@flag("--all-rates", "ask at all baud rates of these servos, not only at the robot's own and those of factories")
 @options.as_json
-def scan(bus: Bus, ids: range, as_json: bool) -> int:
+def scan(bus: Bus, ids: range | None, all_rates: bool, as_json: bool) -> int:
     """List the servos on the bus; report missing, duplicate, wrong or reset ones."""
     from sextant.services.actuator.commissioning import set_ids
 
     profile = _profile(bus.robot)
-    with _line(bus, profile) as line:
+    ids = set_ids.all_ids(profile.servo_model) if ids is None else ids
+    with _line(bus, profile, all_rates) as line:
+        unanswered = _triage(bus, profile, line.rates, ids)
         rates = " and ".join(map(str, line.rates))
         tell = complain if as_json else say
-        tell(f"scanning {len(ids)} ids at {rates} baud; unused ids take longer")
-        found = set_ids.scan(line, ids)
-    wrong = set_ids.verdict(found, profile, ids, each=as_json)
+        if not unanswered:
+            tell(f"scanning {len(ids)} ids at {rates} baud; unused ids take longer")
+        found = [] if unanswered else set_ids.scan(line, ids)
+    wrong = [unanswered] if unanswered else set_ids.verdict(found, profile, ids, each=as_json)
     if as_json:
         problems = [problem._asdict() for problem in wrong]
         say(json.dumps({"servos": [_row(one, profile) for one in found], "problems": problems}, indent=1))
@@ -338,18 +344,29 @@ def _ended_once() -> AbstractContextManager[object]:
 
 
 @contextmanager
-def _line(bus: Bus, profile: "RobotProfile") -> "Iterator[Line]":
+def _line(bus: Bus, profile: "RobotProfile", all_rates: bool = False) -> "Iterator[Line]":
     """Open the servo port; close it at the end, also after a signal."""
-    from sextant.services.actuator.commissioning.set_ids import Line, usual_rates
+    from sextant.services.actuator.commissioning.set_ids import Line
+    from sextant.services.actuator.servo_bus import triage
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE
 
-    rates = (BAUD_RATE,) if bus.networked else usual_rates(profile.servo_model)
+    of_model = triage.all_rates if all_rates else triage.usual_rates
+    rates = (BAUD_RATE,) if bus.networked else of_model(profile.servo_model)
     with _ended_once(), closing(Line(lambda rate: _open(bus, profile, rate), rates)) as line:
         yield line
 
 
-def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None) -> "ServoBus":
-    """Open the servos at the port, at a baud rate [1/s]; None is the robot's own.
+def _triage(bus: Bus, profile: "RobotProfile", rates: Sequence[int], ids: range) -> "Problem | None":
+    """Return why no servo of the robot answers on the port, or None."""
+    from sextant.services.actuator.servo_bus import triage
+
+    opener = triage.Opener(lambda rate, model: _open(bus, profile, rate, model), bus.port, not bus.networked)
+    asked = [i for i in profile.servo_names if i in ids] or list(ids)
+    return triage.examine(opener, profile.servo_model, asked, rates)
+
+
+def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "ServoModel | None" = None) -> "ServoBus":
+    """Open the servos at the port, at a baud rate [1/s] and of a model; None is the robot's own.
 
     Raises:
         BusDisconnectedError: The port cannot be opened.
@@ -359,9 +376,9 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None) -> "ServoB
     patience, names = _NETWORK_PATIENCE_NS if bus.networked else PATIENCE_NS, profile.servo_names
     return ServoBus(
         open_port(bus.port, rate or BAUD_RATE, patience),
-        list(names),
+        [i for i in names if i <= (model or profile.servo_model).protocol.MAX_ID],
         time.monotonic_ns,
-        model=profile.servo_model,
+        model=model or profile.servo_model,
         names=names,
         echo=bus.echo,
         reply_timeout_ns=patience,

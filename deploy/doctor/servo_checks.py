@@ -97,7 +97,10 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
         advice = "--set actuator.echo=true, and --echo for `sextant servos`"
         yield Check(name, Level.WARN, "the adapter returns every sent byte", advice)
     if not seen:
-        advice = "check the servos' power and the cable at the adapter; `sextant servos scan` also tries other baud rates"
+        advice = (
+            "check the servos' power and the cable at the adapter; "
+            "`sextant servos scan` also tries other baud rates and protocols"
+        )
         yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
         return
     wrong = problems(names, seen, model)

@@ -23,6 +23,7 @@ from sextant.shared.servo.servo_model import (
 from sextant.shared.servo.servo_model import measured as _r
 from sextant.shared.servo.servo_model import setting as _rw
 
+NAME = "Dynamixel Protocol 1.0"
 HEADER = b"\xff\xff"
 BROADCAST_ID = 0xFE
 MAX_ID = 0xFD

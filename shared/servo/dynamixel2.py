@@ -14,6 +14,7 @@ from enum import IntEnum
 from sextant.shared.servo.servo_model import Kind, Packet, Request, ServoError
 from sextant.shared.servo.stream_parser import Dropped, StreamParser
 
+NAME = "Dynamixel Protocol 2.0"
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST_ID = 0xFE
 MAX_ID = 0xFC

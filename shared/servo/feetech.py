@@ -32,6 +32,7 @@ __all__ = [
     "BROADCAST_ID",
     "ERRORS",
     "MAX_ID",
+    "NAME",
     "OVERHEAD",
     "PING_SIZE",
     "TABLE",
@@ -50,6 +51,7 @@ __all__ = [
     "write",
 ]
 
+NAME = "Feetech STS"
 _SYNC_READ = 0x82
 
 

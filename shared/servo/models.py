@@ -20,7 +20,8 @@ def _ax(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoMo
     """Return a model with the control table of the AX-12A."""
     factory = MappingProxyType({register.replace("_", " "): value for register, value in overrides.items()})
     table, units = dynamixel.TABLE, dynamixel.UNITS
-    return ServoModel(name, number, dynamixel, table, units, _AX_RATES, _AX_SETTINGS, no_load_rpm, factory)
+    common = tuple(map(dynamixel.baud_rate, (1, 3, 4, 7, 9, 16, 34, 103, 207)))
+    return ServoModel(name, number, dynamixel, table, units, _AX_RATES, _AX_SETTINGS, no_load_rpm, factory, common)
 
 
 # Registers of the MX series that differ from those of the AX-12A.

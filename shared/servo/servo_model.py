@@ -141,6 +141,7 @@ class Parser(Protocol):
 class BusProtocol(Protocol):
     """Packets of one family of buses. A module with these names implements it."""
 
+    NAME: str
     BROADCAST_ID: int
     MAX_ID: int
     OVERHEAD: int  # [bytes] of an answer besides its parameters
@@ -395,6 +396,7 @@ class ServoModel:
     settings: Mapping[str, int]  # register name -> value that a joint needs; the last one identifies a new servo
     no_load_rpm: float  # [rpm] in joint mode, at the highest voltage of the data sheet
     overrides: Mapping[str, int]  # register name -> factory value, where it differs from the table
+    common_rates: tuple[int, ...] = ()  # [bit/s] rates that the manual lists, if the register has many more
     recovery: Recovery = Recovery.TORQUE_LIMIT
     errors: ServoError = ALL_OF_PROTOCOL_1  # all that its answers can report
     gain_stiffness: float = 0.0  # [1/rad] share of the stall torque per position error and unit of the position gain

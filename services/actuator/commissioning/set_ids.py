@@ -29,8 +29,6 @@ from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBu
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import ServoModel
 
-_FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
-_RATE_TOLERANCE = 0.03  # [1] relative difference of two rates up to which bytes are received correctly
 _LEAVE = "q"
 _NO_ANSWER_ADVICE = (
     "check their power and the cable at the adapter, or try --echo; a bridge does not pass scans on, see docs/bridge.md"
@@ -67,7 +65,7 @@ class Line:
 
         Args:
             open_bus: Opens the port at a rate [1/s].
-            rates: Rates to try, the robot's own first, see `usual_rates`. A network port has no rates, so give only one.
+            rates: Rates to try, the robot's own first, see `triage.usual_rates`. A network port has no rates, so give only one.
         """
         self.rates = tuple(rates)
         self._open_bus = open_bus
@@ -91,15 +89,6 @@ class Line:
 def all_ids(model: ServoModel) -> range:
     """Return the ids that servos of a model can have."""
     return range(model.protocol.MAX_ID + 1)
-
-
-def usual_rates(model: ServoModel) -> tuple[int, ...]:
-    """Return the baud rates [1/s] at which servos of a model may answer: the robot's own, and those of factories."""
-    rates = [BAUD_RATE]
-    for rate in (model.rates[model.default(model.table.baud_rate)], *_FACTORY_RATES):
-        if all(abs(rate - other) > _RATE_TOLERANCE * other for other in rates):  # else they reach the same servos
-            rates.append(rate)
-    return tuple(rates)
 
 
 class Found(NamedTuple):
@@ -146,6 +135,9 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
             name = f"{name}?"
         if seen.response is not BusResponse.CLEAR:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
+            continue
+        if seen.identified and seen.identified.table is not profile.servo_model.table:
+            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8}")  # its measurements are in other registers
             continue
         measured = f"{seen.voltage:>5.1f} V  {seen.temperature:>5.0f} deg C"
         lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {seen[firmware]:>8}  {measured}  {name}".rstrip())

@@ -28,10 +28,11 @@ class NotAServoBusError(BusDisconnectedError):
 
     def __init__(self, heard: bytes):
         """Report the unrequested bytes, and the serial ports of this machine."""
-        text = "".join(letter if letter.isprintable() else "." for letter in heard.decode("ascii", "replace"))
+        letters = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in heard)
+        text = repr(letters) if letters.strip(".") else f"the bytes {heard[:8].hex(' ')} ..."
         others = ", ".join(usb_adapter.devices()) or "none"
         super().__init__(
-            f"no servo bus: another device sends {text!r} without a request; serial ports of this computer: {others}"
+            f"no servo bus: another device sends {text} without a request; serial ports of this computer: {others}"
         )
 
 
@@ -132,7 +133,16 @@ class ServoScan:
     @property
     def model(self) -> str:
         """Name of its model, or its number."""
-        return model_name(self.number, self.expected) or f"model {self.number}"
+        found = self.identified
+        return found.name if found else f"model {self.number}"
+
+    @property
+    def identified(self) -> ServoModel | None:
+        """Known model whose packets are those of the expected one, and whose number is in its own place of the table."""
+        start = self.expected.protocol.answer_start
+        alike = [one for one in MODELS if one.protocol.answer_start is start]
+        alike.sort(key=lambda one: one.table is not self.expected.table)
+        return next((one for one in alike if self[one.table.model_number] == one.number), None)
 
     @property
     def number(self) -> int:
@@ -173,7 +183,7 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
     if model == int.from_bytes((register.address, register.size), "little"):  # the request, read as its own answer
         return ServoScan(servo_id, BusResponse.ECHO, expected)
     if crowd or error is None:
-        _refuse_another_device(bus)
+        refuse_another_device(bus)
         return ServoScan(servo_id, BusResponse.DOUBLED, expected)
     if model is None:
         return ServoScan(servo_id, BusResponse.MUTE, expected)
@@ -194,7 +204,7 @@ def _crowded(bus: Bus, servo_id: int) -> bool:
     return all(ping_responses.answers != 1 and not ping_responses.silent for ping_responses in heard)
 
 
-def _refuse_another_device(bus: Bus) -> None:
+def refuse_another_device(bus: Bus) -> None:
     """Raise NotAServoBusError if unrequested bytes arrive."""
     heard = bus.unrequested_bytes()
     if len(heard) >= _STRANGE_BYTES:
@@ -235,9 +245,17 @@ def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan], model: Ser
     if FACTORY_ID not in found and is_unassigned(seen, names, model):
         words = f"has factory settings, so it may be a new servo of another joint; {reset_servos(missing, names)}"
         found[FACTORY_ID] = Problem(words, f"{SET_ID}, and type the leg and joint where it is mounted")
-    alone = {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
+    alone = _shared(found, names) or {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
     wrong = alone | unreachable(missing, names)
     return {i: wrong[i] for i in (*names, *wrong) if i in wrong}
+
+
+def _shared(found: Mapping[int, Problem], names: Mapping[int, str]) -> dict[int, Problem]:
+    """Return one problem for all of a robot's servos if all have the same, else nothing."""
+    if found.keys() != names.keys() or len(found) < 2 or len(set(found.values())) > 1:
+        return {}
+    words, advice = next(iter(found.values()))
+    return dict.fromkeys(found, Problem(f"each of the {len(found)} servos {words}", advice))
 
 
 def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str], model: ServoModel) -> bool:
@@ -306,11 +324,6 @@ def reset_servos(missing: Iterable[int], names: Mapping[int, str]) -> str:
     return f"a reset sets id {FACTORY_ID}: this may be {words}"
 
 
-def model_name(number: int, like: ServoModel) -> str:
-    """Return the name of the model with this number whose registers are on the same bus as those of `like`, or ""."""
-    return next((one.name for one in MODELS if one.number == number and one.table.model_number == like.table.model_number), "")
-
-
 def named(servo_id: int, names: Mapping[int, str]) -> str:
     """Return a servo's id and name: "servo 9 (left rear femur)"."""
     name = names.get(servo_id, "")
@@ -322,8 +335,9 @@ def _wrong(seen: ServoScan, model: ServoModel) -> Problem | None:
     if seen.response is not BusResponse.CLEAR:
         return Problem(seen.response.value, _REMEDIES[seen.response])
     if seen.number != model.number:
-        found = model_name(seen.number, model) or "unknown"
-        words = f"is model {seen.number} ({found}), expected {model.number} ({model.name})"
+        found = seen.identified
+        which = f"{found.number} ({found.name})" if found else f"{seen.number} (unknown)"
+        words = f"is model {which}, expected {model.number} ({model.name})"
         return Problem(words, "replace it by the right model, or choose the profile of a robot with this model")
     if seen.is_wheel:
         return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: this sets joint mode")

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.commissioning import set_ids
-from sextant.services.actuator.commissioning.set_ids import Line, usual_rates
+from sextant.services.actuator.commissioning.set_ids import Line
 from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
+from sextant.services.actuator.servo_bus.triage import usual_rates
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile

@@ -1,0 +1,98 @@
+"""Triage of a servo port before its ids are scanned: which family of servos answers, at which rate, or what else talks."""
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from typing import NamedTuple
+
+from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, refuse_another_device, retry
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.serial_port import BAUD_RATE
+from sextant.shared.servo.models import MODELS
+from sextant.shared.servo.servo_model import ServoModel
+
+_FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
+_RATE_TOLERANCE = 0.03  # [1] relative difference of two rates up to which bytes are received correctly
+
+
+class Opener(NamedTuple):
+    """Port that can be opened at several rates, for servos of several models."""
+
+    open: Callable[[int, ServoModel], ServoBus]  # of a rate [1/s] and a model
+    name: str  # of the port
+    has_rates: bool  # a network port has none
+
+
+def usual_rates(model: ServoModel) -> tuple[int, ...]:
+    """Return the baud rates [1/s] at which servos of a model may answer: the robot's own, and those of factories."""
+    return _apart((BAUD_RATE, model.rates[model.default(model.table.baud_rate)], *_FACTORY_RATES))
+
+
+def all_rates(model: ServoModel) -> tuple[int, ...]:
+    """Return all baud rates [1/s] that the manual of a model lists, the usual ones first."""
+    return _apart((*usual_rates(model), *sorted(model.common_rates or model.rates.values(), reverse=True)))
+
+
+def _apart(rates: Iterable[int]) -> tuple[int, ...]:
+    """Return the rates that do not reach the same servos as an earlier one."""
+    kept: list[int] = []
+    for rate in rates:
+        if all(abs(rate - other) > _RATE_TOLERANCE * other for other in kept):
+            kept.append(rate)
+    return tuple(kept)
+
+
+def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequence[int]) -> Problem | None:
+    """Return why no servo of the robot answers, or None if something does at these ids.
+
+    Args:
+        opener: Opens the port.
+        model: Model of the robot's servos.
+        ids: The robot's ids. That of new servos is asked, too.
+        rates: [1/s] at which to ask servos of the model.
+
+    Raises:
+        NotAServoBusError: Another device sends on the port.
+    """
+    asked = tuple(dict.fromkeys((FACTORY_ID, *ids)))
+    for rate in rates:
+        with closing(opener.open(rate, model)) as bus:
+            if any(not bus.ping_responses(i).silent for i in asked):
+                return None
+    with closing(opener.open(rates[0], model)) as bus:
+        refuse_another_device(bus)
+    for other in _other_families(model):
+        for rate in usual_rates(other) if opener.has_rates else rates[:1]:
+            with closing(opener.open(rate, other)) as bus:
+                first = next((i for i in asked if i <= other.protocol.MAX_ID and bus.ping(i) is not None), None)
+                if first is not None:
+                    return _of_other_family(bus, first, rate, model)
+    return _silence(opener, model, rates)
+
+
+def _other_families(model: ServoModel) -> tuple[ServoModel, ...]:
+    """Return one model of each family whose packets differ from those of a model."""
+    families = {one.protocol.answer_start: one for one in reversed(MODELS)}
+    return tuple(one for start, one in families.items() if start is not model.protocol.answer_start)
+
+
+def _of_other_family(bus: ServoBus, servo_id: int, rate: int, model: ServoModel) -> Problem:
+    """Return the problem of a servo that answers in another protocol."""
+    number = retry(lambda: bus.read(servo_id, bus.model.table.model_number))
+    name = next((one.name for one in MODELS if one.number == number), f"a servo of model {number}")
+    words = f"servo {servo_id} is {name} ({bus.model.protocol.NAME}) at {rate} baud, {model.name} expected"
+    return Problem(words, f"give the profile of this robot with --robot; in a profile of yours, set servo.model to {name}")
+
+
+def _silence(opener: Opener, model: ServoModel, rates: Sequence[int]) -> Problem:
+    """Return the problem of a port on which nothing answers."""
+    names = [one.protocol.NAME for one in _other_families(model)]
+    at = f" at {', '.join(map(str, rates))} baud" if opener.has_rates else ""
+    latency = usb_adapter.latency_ms(opener.name)
+    adapter = "" if latency is None else f"; its adapter has a latency timer of {latency} ms"
+    more = "; --all-rates asks at all rates of these servos" if opener.has_rates and set(all_rates(model)) - set(rates) else ""
+    return Problem(
+        f"no servo answers on {opener.name} as {model.name}{at}, nor another servo in {' or '.join(names)}{adapter}",
+        f"check the power of the servos and the cable at the adapter, or try --echo{more}; a bridge does not pass scans on, "
+        "see docs/bridge.md",
+    )

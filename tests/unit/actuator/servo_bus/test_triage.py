@@ -1,0 +1,87 @@
+"""Triage of a port: what talks, in which protocol and at which rate."""
+
+from collections.abc import Callable
+
+import pytest
+
+from sextant.services.actuator.servo_bus import triage
+from sextant.services.actuator.servo_bus.bus_scan import NotAServoBusError, Problem
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.triage import Opener, all_rates, usual_rates
+from sextant.shared.servo.models import MODEL_NAMED, MODELS
+from sextant.shared.servo.servo_model import ServoModel
+from tests.support.desk import PHANTOMX, Desk
+from tests.support.families import robot_with
+
+AX_12A = MODEL_NAMED["AX-12A"]
+
+
+def opener(desk: Desk) -> Opener:
+    def at(rate: int, model: ServoModel) -> ServoBus:
+        return ServoBus(desk.open(rate), [1, 2, 3], desk.clock, model=model)
+
+    return Opener(at, "/dev/ttyUSB0", has_rates=True)
+
+
+def examined(
+    desk: Desk, model: ServoModel = AX_12A, rates: Callable[[ServoModel], tuple[int, ...]] = usual_rates
+) -> Problem | None:
+    return triage.examine(opener(desk), model, [1, 2, 3], rates(model))
+
+
+@pytest.mark.parametrize("name", ["AX-12A", "MX-28", "XL430-W250", "STS3215"])
+def test_own_servos_need_no_triage(name: str) -> None:
+    assert examined(Desk(robot_with(name)), MODEL_NAMED[name]) is None
+
+
+@pytest.mark.parametrize(("there", "expected"), [("XL430-W250", "AX-12A"), ("AX-12A", "XM430-W350"), ("STS3215", "XL430-W250")])
+def test_servo_of_another_protocol_is_named(there: str, expected: str) -> None:
+    found = examined(Desk(robot_with(there)), MODEL_NAMED[expected])
+    assert found is not None
+    assert f"servo 1 is {there}" in found.words or "servo 1 is a servo of model" in found.words
+    assert f"{expected} expected" in found.words
+    assert "--robot" in found.advice
+
+
+def test_new_servo_of_another_protocol_is_found_at_the_rate_of_its_factory() -> None:
+    desk = Desk(robot_with("XL430-W250"), fresh=True)
+    desk.bench.plug([4])
+    found = examined(desk)
+    assert found is not None
+    assert found.words == "servo 1 is XL430-W250 (Dynamixel Protocol 2.0) at 57600 baud, AX-12A expected"
+
+
+def test_silent_port_names_rates_and_protocols_once() -> None:
+    desk = Desk(PHANTOMX, fresh=True)
+    found = examined(desk)
+    assert found is not None
+    assert found.words == (
+        "no servo answers on /dev/ttyUSB0 as AX-12A at 1000000, 57143 baud, nor another servo in Dynamixel Protocol 2.0"
+    )
+    assert "--all-rates" in found.advice
+    every = examined(desk, rates=all_rates)
+    assert every is not None
+    assert "115942" not in every.words
+    assert "117647" in every.words
+    assert "--all-rates" not in every.advice
+
+
+def test_another_device_is_shown_by_its_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = Desk(PHANTOMX, fresh=True)
+    monkeypatch.setattr(ServoBus, "unrequested_bytes", lambda self: b"$GPGGA,120000.00\r\n")
+    with pytest.raises(NotAServoBusError, match=r"another device sends '\$GPGGA,120000.00\.\.' without a request"):
+        examined(desk)
+    monkeypatch.setattr(ServoBus, "unrequested_bytes", lambda self: b"\xff" * 64)
+    with pytest.raises(
+        NotAServoBusError, match=r"another device sends the bytes ff ff ff ff ff ff ff ff \.\.\. without a request"
+    ):
+        examined(desk)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_rates_begin_with_that_of_the_robot_and_reach_different_servos(model: ServoModel) -> None:
+    usual, every = usual_rates(model), all_rates(model)
+    assert usual[0] == 1_000_000
+    assert every[: len(usual)] == usual
+    assert set(every) <= {*model.rates.values(), 57_143}
+    assert all(abs(one - other) > 0.03 * other for one in every for other in every if one != other)
