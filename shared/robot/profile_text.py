@@ -48,19 +48,15 @@ def require_new_file(path: Path) -> None:
 
 
 def write_new_profile(path: Path, profile: RobotProfile, heading: Sequence[str] = ()) -> None:
-    """Write a profile to a new file, and read it again, because a later command must accept it.
+    """Write a profile to a new file, and read it again as later commands do.
 
     Raises:
-        ConfigError: The path is not that of a new TOML file, or the profile is invalid; then nothing is written.
+        ConfigError: The path is not that of a new TOML file, or the file needs changes, such as another stance.
         WriteError: The file cannot be written.
     """
     require_new_file(path)
     whole_files.write_text(path, profile_text(profile, heading))
-    try:
-        load_profile(str(path))
-    except config.ConfigError:
-        path.unlink()
-        raise
+    load_profile(str(path))
 
 
 def _table(name: str, table: Mapping[str, Any]) -> list[str]:

@@ -1,12 +1,15 @@
 """The check of a profile against the simulated robot: torques of standing and walking."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sextant.deploy import cli
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.evaluation.robot_check.gait_cycle import standing_torques, walk_cycle
+from sextant.evaluation.robot_check.ground_limits import find_ground_limits
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire import topics
@@ -34,3 +37,28 @@ def test_rms_torque_of_the_worst_joint_is_that_of_the_simulated_walk(robot: str,
     walked = walk(replace(flat(distance), robot=robot), 1000)
     computed = walk_cycle(load_profile(robot), "tripod").rms_torque.max()
     assert computed == pytest.approx(walked.report.torque_nm.rms_worst_joint, rel=0.1)
+
+
+STEP = """
+name = "one step"
+time_limit_s = 60.0
+[goal]
+distance = 1.6
+[[terrain]]
+kind = "plane"
+[[terrain]]
+kind = "box"
+xy = [2.3, 0.0]
+size = [2.6, 2.4]
+top = {height}
+"""
+
+
+def test_highest_step_of_the_check_is_climbed_and_a_higher_one_is_not(tmp_path: Path) -> None:
+    riser = find_ground_limits(load_profile("phantomx_mk2")).riser
+    assert riser.refused is not None
+    for height, status in ((riser.passed, 0), (riser.refused, 1)):
+        course = tmp_path / "step.toml"
+        course.write_text(STEP.format(height=height), encoding="utf-8")
+        words = ["run", str(course), "--lockstep", "--seed", "1000", "--set", "planner.costmap.max_step_m=0.13"]
+        assert cli.main([*words, "--out", str(tmp_path / f"{height:.2f}")]) == status

@@ -282,9 +282,3 @@ def _far_end(kind: str, half_size: tuple[float, float, float], T: Array, knee: A
     radius = half_size[0] if kind == "capsule" else 0.0
     ends = [T[:3, 3] + sign * (half_size[long] - radius) * T[:3, long] for sign in (1.0, -1.0)]
     return max(ends, key=lambda end: float(np.linalg.norm(end - knee))), radius
-
-
-def T_link_in_body(bodies: DescribedBodies, pattern: str) -> Array | None:
-    """Return T_body_link (4, 4) of the trunk's first link whose name matches a pattern, or None."""
-    found = [T for link, T in bodies.links(bodies.root) if re.search(pattern, link.name)]
-    return found[0] if found else None

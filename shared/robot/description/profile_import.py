@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sextant.shared.errors import SextantError
 from sextant.shared.files import input_file
 from sextant.shared.geometry import Array, inverse, rpy_from_rotation
 from sextant.shared.robot.description.leg_extraction import (
@@ -63,13 +64,28 @@ def import_profile(
         servo: Model of the servos; None: the nearest by torque.
 
     Raises:
-        DescriptionError: The description is not that of a robot with six legs of three joints, or the axes are not standard.
+        DescriptionError: The description is not that of a robot with six legs of three joints, the axes are not standard, or a
+            value does not fit a profile.
     """
+    try:
+        return _import(description, names, None if foot is None else np.array(foot, dtype=np.float64), forward, servo)
+    except SextantError:
+        raise
+    except ValueError as error:
+        raise DescriptionError(f"the robot does not fit a profile: {error}") from None
+
+
+def _import(
+    description: RobotDescription,
+    names: Mapping[str, Sequence[str]] | None,
+    foot: Array | None,
+    forward: str,
+    servo: str | None,
+) -> ImportedProfile:
     movable = None if names is None else frozenset(name for chain in names.values() for name in chain)
     bodies = DescribedBodies(description, FORWARD[forward], movable)
-    tip = None if foot is None else np.array(foot, dtype=np.float64)
     chains = ordered(bodies, chains_of(bodies)) if names is None else named_chains(bodies, names)
-    described = [leg_of(bodies, leg, chain, tip) for leg, chain in zip(LEGS, chains, strict=True)]
+    described = [leg_of(bodies, leg, chain, foot) for leg, chain in zip(LEGS, chains, strict=True)]
     notes: list[str] = []
     origin, size = _trunk(bodies, described, notes)
     data = _servo([joint for chain in chains for joint in chain], servo, notes)
@@ -88,7 +104,7 @@ def import_profile(
     )
     profile = replace(profile, stance=proposed_stance(profile))
     notes.append("servo ids are 1 to 18, horns and signs those of the description: `sextant servos calibrate` measures them")
-    error = _foot_error(bodies, chains, described, tip, profile, origin)
+    error = _foot_error(bodies, chains, described, foot, profile, origin)
     joints = {leg: chain.joints for leg, chain in zip(LEGS, described, strict=True)}
     return ImportedProfile(profile, joints, tuple(notes), error)
 

@@ -14,6 +14,7 @@ from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array, from_xyz_rpy
 
 _MOST_BODIES = 2000  # links of a file; a robot has some dozens
+_LARGEST = 1e6  # largest plausible number, in any unit
 
 
 class DescriptionError(SextantError, ValueError):
@@ -161,8 +162,8 @@ def _vector(element: ET.Element | None, key: str, place: str, default: tuple[flo
         values = np.array([float(part) for part in text.split()])
     except ValueError:
         values = np.array([np.nan])
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise DescriptionError(f"{place}: three numbers expected in {key}, found {text[:60]!r}")
+    if values.shape != (3,) or not (np.abs(values) <= _LARGEST).all():
+        raise DescriptionError(f"{place}: three numbers of at most {_LARGEST:g} expected in {key}, found {text[:60]!r}")
     return values
 
 
@@ -174,6 +175,6 @@ def _number(element: ET.Element | None, key: str, place: str, default: float | N
         value = float(text or "")
     except ValueError:
         value = np.nan
-    if not np.isfinite(value):
-        raise DescriptionError(f"{place}: a number expected in {key}, found {text!r}")
+    if not abs(value) <= _LARGEST:
+        raise DescriptionError(f"{place}: a number of at most {_LARGEST:g} expected in {key}, found {text!r}")
     return value

@@ -10,7 +10,8 @@ import pytest
 
 from sextant.evaluation.robot_check.gait_cycle import standing_torques, walk_cycle
 from sextant.evaluation.robot_check.ground_limits import find_ground_limits
-from sextant.evaluation.robot_check.robot_check import RobotCheck, check_robot, describe
+from sextant.evaluation.robot_check.robot_check import MIN_MINUTES, RobotCheck, check_robot, describe
+from sextant.evaluation.robot_check.slowed_robot import slow_down
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import GRAVITY, RobotProfile
@@ -103,6 +104,17 @@ def test_cycle_is_that_of_the_gait(gait: str) -> None:
     np.testing.assert_allclose(ahead, -cycle.travel / (len(cycle.feet) / len(GAITS[gait].groups)), atol=1e-9)
     # The vertical forces are those of gravity at every moment: without motion, the body would not accelerate.
     assert cycle.speed <= PROFILE.stance.max_speed + 1e-9
+
+
+def test_hot_servos_get_longer_steps_until_they_last() -> None:
+    hasty = replace(PROFILE, stance=replace(PROFILE.stance, step_s=0.5, foot_speed=0.9))
+    slower = slow_down(hasty)
+    assert hasty.stance.step_s < slower.stance.step_s < 2.0
+    assert slower.stance.foot_speed < hasty.stance.foot_speed
+    servo, cycle = slower.servo, walk_cycle(slower, "tripod")
+    duty = cycle.rms_torque.max() / servo.stall_torque
+    assert Protection().time_to_reach(servo.temperature_limit, duty) >= 60.0 * MIN_MINUTES
+    assert slow_down(PROFILE) == PROFILE
 
 
 @pytest.mark.slow
