@@ -73,6 +73,15 @@ class CameraFound:
 
 
 @dataclass(frozen=True, slots=True)
+class HornsFound:
+    """Errors of the horns as the robot estimates them at the end, to add to the profile's; (18,) coxa, femur, tibia per leg."""
+
+    estimate_deg: tuple[float, ...] = ()  # [deg] most likely errors
+    sigma_deg: tuple[float, ...] = ()  # [deg] their standard deviations
+    corrected_deg: tuple[float, ...] = ()  # [deg] what the actuator added
+
+
+@dataclass(frozen=True, slots=True)
 class MapError:
     """Mapped minus true height within 1 m of the robot."""
 
@@ -197,6 +206,7 @@ class Report:
     pose_error_m: PoseError = PoseError()  # of the estimated pose
     map_error_m: MapError = MapError()  # of the map around the robot
     camera: CameraFound = CameraFound()  # errors of the camera's profile, estimated by the robot
+    horns: HornsFound = HornsFound()  # errors of the horns, estimated by the robot; empty without a step
     course_map_m: CourseMap = CourseMap()  # of all maps of the run together
     passage: Passage = Passage()  # how a gap was crossed
     capture_to_plan_ms: CaptureToPlan = CaptureToPlan()  # time from a depth image to the plan in execution

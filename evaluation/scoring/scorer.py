@@ -14,7 +14,7 @@ import numpy as np
 from sextant.evaluation.metrics.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
 from sextant.evaluation.report import ARRIVED, CourseMap, MapError, Report, StageTime
 from sextant.evaluation.scoring.passage_metrics import passage_metrics
-from sextant.evaluation.scoring.walk_report import add_walk_metrics, camera_found, capture_to_plan, pose_error
+from sextant.evaluation.scoring.walk_report import add_walk_metrics, camera_found, capture_to_plan, horns_found, pose_error
 from sextant.evaluation.trace.course import Course, Ground
 from sextant.evaluation.trace.recorded_walk import Walk
 from sextant.evaluation.trace.run_log import RunLog
@@ -49,6 +49,7 @@ class Scorer:
     subscribes = (
         topics.BODY_POSE,
         topics.CAMERA_ERRORS,
+        topics.HORN_ERRORS,
         topics.TERRAIN,
         topics.ACTUATOR_STATE,
         topics.STEP_PLAN,
@@ -343,6 +344,7 @@ class Scorer:
             map_error_m=self._maps.error() if self._maps is not None else MapError(),
             capture_to_plan_ms=capture_to_plan(self._heard),
             camera=camera_found(self._heard),
+            horns=horns_found(self._heard),
             course_map_m=CourseMap() if in_a_hurry else self._course_map(trace.mosaic),
         )
         if not trace.walking.any():

@@ -5,7 +5,17 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.evaluation.metrics.walk_metrics import angle_between, rubbing, slip_per_step
-from sextant.evaluation.report import CameraFound, CaptureToPlan, HeightError, PoseError, Report, Slip, Spread, Torque
+from sextant.evaluation.report import (
+    CameraFound,
+    CaptureToPlan,
+    HeightError,
+    HornsFound,
+    PoseError,
+    Report,
+    Slip,
+    Spread,
+    Torque,
+)
 from sextant.evaluation.trace.course import Course
 from sextant.evaluation.trace.recorded_walk import Walk
 from sextant.evaluation.trace.run_log import RunLog
@@ -57,6 +67,14 @@ def camera_found(heard: RunLog) -> CameraFound:
     return CameraFound(
         (roll, pitch, yaw), (sigmas[0], sigmas[1], sigmas[2]), height, height_sigma, depth, depth_sigma, errors.finding
     )
+
+
+def horns_found(heard: RunLog) -> HornsFound:
+    """Return what the robot found out about its horns."""
+    errors = heard.horn_errors
+    if errors is None:
+        return HornsFound()
+    return HornsFound(*(tuple(np.degrees(of).ravel().tolist()) for of in (errors.estimate, errors.sigma, errors.corrected)))
 
 
 def capture_to_plan(heard: RunLog) -> CaptureToPlan:

@@ -15,6 +15,7 @@ from sextant.shared.wire.messages import (
     BodyPose,
     CameraErrors,
     GroundTruth,
+    HornErrors,
     Mode,
     PassageMap,
     PassagePlan,
@@ -82,6 +83,7 @@ class RunLog:
         self.first_step_ns: int | None = None
         self.capture_to_plan_ns: list[int] = []  # [ns] from a depth image to the first cycle of a plan that is based on it
         self.camera_errors: CameraErrors | None = None  # the newest ones
+        self.horn_errors: HornErrors | None = None  # the same
         self.refusal = ""  # the planner's reason for not going on, once it has lasted `_REFUSED_NS`
         self._newest_step = self._steps_before = 0  # newest step of the actuator, and the steps before its restart
         self._blocked_since_ns: int | None = None
@@ -101,6 +103,7 @@ class RunLog:
         for pose in inbox.drain(topics.BODY_POSE):
             self.poses.append(_sharing(pose, self.poses, _UNUSED_OF_POSE))
         self.camera_errors = inbox.latest(topics.CAMERA_ERRORS) or self.camera_errors
+        self.horn_errors = inbox.latest(topics.HORN_ERRORS) or self.horn_errors
         states = inbox.drain(topics.ACTUATOR_STATE)
         for state in states:
             if state.step < self._newest_step:

@@ -9,6 +9,7 @@ import numpy as np
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.control_rate import ControlRate
 from sextant.services.actuator.cycle_clock import CycleClock
+from sextant.services.actuator.estimation.horn_correction import HornCorrection
 from sextant.services.actuator.estimation.leg_monitor import LegMonitor
 from sextant.services.actuator.estimation.state_estimator import StateEstimator
 from sextant.services.actuator.estimation.touchdown_detector import FEMUR, FemurReading
@@ -46,7 +47,7 @@ class Actuator:
 
     name = "actuator"
     subscribes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.STOP, topics.IMU)
-    publishes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
+    publishes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.HORN_ERRORS)
 
     def __init__(
         self,
@@ -93,6 +94,7 @@ class Actuator:
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
         self._legs = LegMonitor(profile)
+        self._horns = HornCorrection(settings.correct_horns)
         self._estimator = StateEstimator(profile, settings.contact, settings.touchdown)
         self._motion = MotionController(profile, settings, self._joints.goals)
         self._report = StateReport(profile.foot.radius)
@@ -142,7 +144,7 @@ class Actuator:
         if guard.mode is not Mode.OFF:
             self._move(dt, now_ns)
             self._report.note_contacts(motion.executor.take_findings(), read_ns)
-            self._watch_legs()
+            self._watch_legs(dt)
         # 5. React to faults, and report.
         self._check_health(now_ns, elapsed)
         self._authorization.keep(guard.walk_order(now_ns))
@@ -152,6 +154,8 @@ class Actuator:
         if self._report.is_due(guard, motion):
             pace, warnings = float(self._verdict.pace * self._rate.share), self._warnings(now_ns)
             yield self._report.state(read_ns, guard, estimator, motion, joints, pace, warnings)
+        if (horns := self._horns.news(read_ns, self._legs.offsets)) is not None:
+            yield horns
 
     def _follow_rate(self) -> None:
         """Run by the present rate of the control cycle."""
@@ -304,15 +308,17 @@ class Actuator:
         else:
             self._perform(self._guard.seated(now_ns))
 
-    def _watch_legs(self) -> None:
-        """Compare the legs with their goals and with each other."""
+    def _watch_legs(self, dt: float) -> None:
+        """Compare the legs with their goals and with each other, and correct their horns."""
         legs, walk = self._legs, self._motion.executor
         legs.check_goals()
         if self._guard.mode is not Mode.WALK or not walk.planned or self._joints.not_responding:
             legs.pause()
             return
         lands = bool(walk.load_share[walk.swing].any())
-        legs.watch(walk.step, walk.swing.tolist(), walk.flying.tolist(), lands, self._measured())
+        legs.watch(walk.step, walk.swing.tolist(), walk.flying.tolist(), lands, self._measured() - self._horns.offsets)
+        if self._horns.follow(legs.sure_offsets, walk.flying & ~walk.awaiting, dt):
+            self._joints.correct(self._horns.offsets)
 
     def _send(self, goals: Array) -> None:
         """Send goals, unless torque must be off or the goals are too old."""

@@ -79,7 +79,7 @@ class StateReport:
             phase=float(walk.phase),
             swing=walk.swing.copy(),
             contact=estimator.contact.legs & ~walk.flying,
-            q=odometry.q.copy(),
+            q=odometry.q - joints.offsets,
             load_nm=joints.load.copy(),
             feet=odometry.feet.copy(),
             T_odom_body=odometry.T_odom_body.copy(),

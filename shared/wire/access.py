@@ -77,7 +77,7 @@ _HEARD_OF = ("robot", "base", "console", "site")  # roles whose health and prese
 _HEALTHS, _PRESENCES = _of_roles(t.HEALTH_OF, *_HEARD_OF), _of_roles(t.PRESENCE_OF, *_HEARD_OF)
 _SEEN: tuple[AnyTopic, ...] = (  # topics that the console displays, and small ones
     *(t.ACTUATOR_STATE, t.BODY_POSE, t.ODOMETRY, t.STEP_PLAN, t.PLANNER_STATUS, t.PASSAGE_PLAN, t.PASSAGE_REQUEST),
-    *(t.CAMERA_STATE, t.CAMERA_ERRORS, t.TERRAIN, t.PREVIEW, t.RECORDER_STATE),
+    *(t.CAMERA_STATE, t.CAMERA_ERRORS, t.HORN_ERRORS, t.TERRAIN, t.PREVIEW, t.RECORDER_STATE),
     *(t.VELOCITY, t.GOAL, t.POSTURE, t.CALIBRATION, t.MODE, t.STOP, t.RECORD),
     *_HEALTHS,
     *_PRESENCES,
@@ -92,7 +92,7 @@ _ENDS = (  # roles that publish or subscribe themselves, unlike a site router
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, IMU, perception",
-        (*_SENSED, *_PERCEIVED, t.ODOMETRY, t.ACTUATOR_STATE, *_EXTERNAL, *_own("robot")),
+        (*_SENSED, *_PERCEIVED, t.ODOMETRY, t.ACTUATOR_STATE, t.HORN_ERRORS, *_EXTERNAL, *_own("robot")),
         (*_OBEYED, t.DEPTH, t.COLOR, t.IMU, t.ODOMETRY, t.ACTUATOR_STATE, *_EXTERNAL, t.SCAN_RECEIPT, *_PRESENCES),
         (*_own("base"), *_own("console")),
     ),

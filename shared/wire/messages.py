@@ -243,7 +243,7 @@ class ActuatorState(Message):
     phase: float  # [1] progress of the step, 0 to 1; 1 when it is finished
     swing: LegFlags  # legs that swing according to the plan
     contact: LegFlags  # legs that carry load according to the measured load; never between lift-off and touchdown
-    q: PerJoint  # [rad] measured joint angles
+    q: PerJoint  # [rad] measured joint angles by the horns of the profile, without the corrections of `HornErrors`
     load_nm: PerJoint  # [N m] motor torque, from the servos' present load
     feet: PerJoint  # (6, 3) [m] {body} measured foot centres
     T_odom_body: Pose  # measured, the same as in Odometry
@@ -302,6 +302,18 @@ class CameraErrors(Message):
     sigma: Annotated[NDArray[np.float64], Dims(5)]  # standard deviations of the estimate
     corrected: Annotated[NDArray[np.float64], Dims(5)]  # errors that perception corrects now
     finding: str  # errors that the operator should know, as a sentence, or empty
+
+
+@dataclass(frozen=True, slots=True)
+class HornErrors(Message):
+    """Errors of the horns, estimated while the robot walks; actuator -> console, recorder.
+
+    Each array (6, 3) [rad] holds numbers to add to the horn offsets of the profile, as `trims_deg` of a calibration does.
+    """
+
+    estimate: PerJoint  # (6, 3) [rad] most likely errors
+    sigma: PerJoint  # (6, 3) [rad] standard deviations of the estimate
+    corrected: PerJoint  # (6, 3) [rad] what the actuator adds now
 
 
 @dataclass(frozen=True, slots=True)

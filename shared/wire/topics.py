@@ -84,6 +84,7 @@ PREVIEW = Topic("camera/preview", m.Preview, 5.0, Delivery.LATEST, Lane.BULK, 30
 IMU = Topic("imu", m.Imu, 100.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.017)
 ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.019, _CHANGES)
+HORN_ERRORS = Topic("actuator/horns", m.HornErrors, 5.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.003)
 BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.015)
 EXTERNAL_POSE = Topic("external/pose", m.ExternalPose, 30.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
 EXTERNAL_DEPTH = Topic("external/depth", m.ExternalDepth, 30.0, Delivery.LATEST, Lane.BULK, 4496 * _KIB, 0.008)
@@ -131,6 +132,7 @@ TOPICS: tuple[Topic[Any], ...] = (
     IMU,
     ODOMETRY,
     ACTUATOR_STATE,
+    HORN_ERRORS,
     BODY_POSE,
     EXTERNAL_POSE,
     EXTERNAL_DEPTH,

@@ -38,6 +38,7 @@ WALKING = (
     topics.ODOMETRY,
     topics.ACTUATOR_STATE,
     topics.CAMERA_STATE,
+    topics.HORN_ERRORS,
     topics.BODY_POSE,
     topics.CAMERA_ERRORS,
     topics.SCAN,

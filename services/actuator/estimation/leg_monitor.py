@@ -53,7 +53,7 @@ class LegMonitor:
     def __init__(self, profile: RobotProfile):
         """Begin without findings."""
         self._profile = profile
-        self._offsets = JointOffsets()
+        self.offsets = JointOffsets()  # what the stances show
         self.deviation = ""  # how the legs differ from the profile, which does not make the robot slower
         self._deviates_rad = 0.0  # size that it states
         self.goals = GoalCheck(profile)
@@ -87,6 +87,19 @@ class LegMonitor:
     def pace(self) -> float:
         """Share of the nominal speed that the findings allow."""
         return _SLOWER if self.warning else 1.0
+
+    @property
+    def sure_offsets(self) -> Array | None:
+        """Offsets (18,) [rad] by which links are ahead of their encoders; None if unconfirmed, or while anything is odd."""
+        doubted = self.stop or self.warning or self._unusual or not self._legs_differ
+        return None if doubted else self.offsets.mean
+
+    @property
+    def _legs_differ(self) -> bool:
+        """Whether the legs differ from the profile, as earlier stances predict."""
+        offsets = self.offsets
+        differ = offsets.pairs >= _LASTING_PAIRS and offsets.moved >= _UNMATCHED * offsets.pairs
+        return differ and offsets.unpredicted <= _PREDICTED * offsets.moved
 
     def pause(self) -> None:
         """End the stance: the robot does not walk."""
@@ -159,13 +172,13 @@ class LegMonitor:
         elif self._judge(stance):
             self._unusual[stance.legs] = self._stances, stance
         else:
-            self._offsets.learn(stance)
+            self.offsets.learn(stance)
             self._judge_deviation()
             self._unusual.pop(stance.legs, None)
 
     def _judge(self, stance: Stance) -> bool:
         """Stop or walk slower if a slip explains a stance, or it and the one before; return whether it is unusual."""
-        offsets, pairs, (_, before) = self._offsets, len(stance.moved), self._unusual.get(stance.legs, (0, None))
+        offsets, pairs, (_, before) = self.offsets, len(stance.moved), self._unusual.get(stance.legs, (0, None))
         alone = offsets.surprise([stance])
         if alone < _UNUSUAL * pairs:
             return False
@@ -192,14 +205,15 @@ class LegMonitor:
 
     def _judge_deviation(self) -> None:
         """State how the legs differ from the profile."""
-        offsets, slips = self._offsets, self._offsets.lasting()
+        offsets, slips = self.offsets, self.offsets.lasting()
         best, pairs = slips[0], offsets.pairs
         if pairs < _LASTING_PAIRS:
             return
         noise = max(1.0, offsets.unpredicted / pairs)
         if best.left > min(noise, _ONE_LEAVES) * pairs:
-            several = offsets.moved >= _UNMATCHED * pairs and offsets.unpredicted <= _PREDICTED * offsets.moved
-            self.deviation = f"horns or links of several legs differ from the profile: {_CALIBRATE}" if several else ""
+            self.deviation = (
+                f"horns or links of several legs differ from the profile: {_CALIBRATE}" if self._legs_differ else ""
+            )
             return
         if offsets.moved - best.left < _LASTING_EXPLAINS * noise or abs(best.size) < _LASTING_RAD:
             self.deviation = ""

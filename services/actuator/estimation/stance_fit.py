@@ -107,6 +107,11 @@ class JointOffsets:
         self.pairs, self.moved, self.unpredicted = 0, 0.0, 0.0
         self._pull, self._weight = np.zeros(18), np.full(18, 1.0 / _LASTING_RAD**2)
 
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations (18,) [rad] of the offsets."""
+        return np.asarray(np.sqrt(np.diag(self._covariance)))
+
     def learn(self, stance: Stance) -> None:
         """Take in a stance without a new offset."""
         unusual, covariance, constant = self._compared([stance])

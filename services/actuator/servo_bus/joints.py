@@ -55,9 +55,8 @@ class Joints:
         self._profile, self._settings, self._clock = profile, settings, clock
         self._table, self._units = profile.servo_model.table, profile.servo_model.units
         self._opener = opener or PortFinder(settings).open
-        self._signs_and_offsets = list(
-            zip(profile.servo_signs.ravel().tolist(), profile.horn_offsets.ravel().tolist(), strict=True)
-        )
+        self.offsets = np.zeros((6, 3))  # [rad] by which links are ahead of their encoders, besides the profile's trims
+        self._set_horns()
         self._budget_ns = round(settings.read_budget_ms * 1e6)
         self._latched = latched
         self._off_ordered = latched()  # whether an order requires torque off
@@ -175,12 +174,23 @@ class Joints:
 
         Servos that have missed goals get a low speed, because their position is unknown when they respond again.
         """
-        self.goals = q_goal
+        self.goals = self._clipped_to_limits(q_goal) if np.count_nonzero(self.offsets) else q_goal
         silent = self._bus.missed >= SILENT
         if np.count_nonzero(silent):
             self._catching_up.leave_behind(silent, LOWERED)
-        ticks, speeds = self._goal_ticks(q_goal), speed_ticks(self._catching_up.speed_limits, self._profile.servo_model)
+        ticks, speeds = self._goal_ticks(self.goals), speed_ticks(self._catching_up.speed_limits, self._profile.servo_model)
         self._call_bus(lambda: self._bus.sync_write_goals(ticks, speeds))
+
+    def correct(self, offsets: Array) -> None:
+        """Assume that links are ahead of their encoders by offsets (6, 3) [rad]. The servos keep their goals."""
+        change, self.offsets = offsets - self.offsets, offsets.copy()
+        self.q, self.goals = self.q + change, self.goals + change
+        self._set_horns()
+
+    def _set_horns(self) -> None:
+        """Set what converts readings to joint angles."""
+        signs, horns = self._profile.servo_signs.ravel().tolist(), (self._profile.horn_offsets - self.offsets).ravel().tolist()
+        self._signs_and_horns = list(zip(signs, horns, strict=True))
 
     def mark_stale(self) -> None:
         """Treat all joint positions as unknown; recent goals may not have arrived."""
@@ -260,8 +270,8 @@ class Joints:
     def _store_reading(self, reading: ServoReading) -> None:
         index = reading.index
         leg, joint = divmod(index, 3)
-        sign, offset = self._signs_and_offsets[index]
-        q = sign * reading.position - offset
+        sign, horn = self._signs_and_horns[index]
+        q = sign * reading.position - horn
         self.q[leg, joint] = q
         self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
         self.voltage[index] = reading.voltage
@@ -270,9 +280,10 @@ class Joints:
             self._catching_up.note_reading(index, reading.stamp_ns, q - float(self.goals[leg, joint]), reading.speed)
 
     def _clipped_to_limits(self, q: Array) -> Array:
-        """Return joint angles (6, 3) [rad] clipped to the joint limits."""
-        limits = self._profile.joint_limits
-        return np.asarray(np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1]))
+        """Return joint angles (6, 3) [rad] clipped to the joint limits, which hold with the offsets and without them."""
+        limits, offsets = self._profile.joint_limits, self.offsets
+        low, high = limits[..., 0] + np.maximum(offsets, 0.0), limits[..., 1] + np.minimum(offsets, 0.0)
+        return np.asarray(np.minimum(np.maximum(q, low), high))
 
     def _check_silence(self) -> None:
         """Treat all joint positions as unknown if no servo answers, until all servos have caught up."""
@@ -369,11 +380,13 @@ class Joints:
         raise ConnectionError(f"the port is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
 
     def _angles(self, ticks: Iterable[int]) -> Array:
-        return self._profile.joint_angles(np.array([self._units.angle(t) for t in ticks]).reshape(6, 3))
+        """Return joint angles (6, 3) [rad] of position registers (18,)."""
+        servo = np.array([self._units.angle(t) for t in ticks]).reshape(6, 3)
+        return np.asarray(self._profile.joint_angles(servo) + self.offsets)
 
     def _goal_ticks(self, q: Array) -> NDArray[np.int64]:
         """Return goal registers (18,) of joint angles (6, 3) [rad]."""
-        ticks = np.rint(self._units.centre + self._profile.servo_angles(q).ravel() / self._units.tick_rad)
+        ticks = np.rint(self._units.centre + self._profile.servo_angles(q - self.offsets).ravel() / self._units.tick_rad)
         return np.minimum(np.maximum(ticks, 0.0), self._units.max_position).astype(np.int64)
 
 

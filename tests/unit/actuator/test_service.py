@@ -234,6 +234,18 @@ def test_published_odometry_matches_joint_odometry() -> None:
     assert odometry.path_length >= np.linalg.norm(state.T_odom_body[:2, 3]) - 1e-9
 
 
+def test_state_has_joint_angles_by_the_horns_of_the_profile_and_feet_by_the_corrected_ones() -> None:
+    """`sextant camera calibrate` measures the horns of the profile by these angles."""
+    rig = Rig()
+    state = rig.cycle(20)
+    np.testing.assert_allclose(body_forward(PROFILE, state.q), state.feet, atol=1e-9)
+    offsets = np.radians(np.linspace(-4.0, 4.0, 18)).reshape(6, 3)
+    rig.actuator._joints.correct(offsets)
+    after = rig.cycle(2)
+    np.testing.assert_allclose(after.q, state.q, atol=0.02)
+    np.testing.assert_allclose(body_forward(PROFILE, after.q + offsets), after.feet, atol=1e-9)
+
+
 def test_refused_plan_does_not_change_step_or_mode() -> None:
     rig = Rig()
     state = rig.walking()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.estimation.leg_monitor import LegMonitor
+from sextant.services.actuator.estimation.stance_fit import measure_stance
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profile import LEGS
@@ -88,6 +89,41 @@ def test_robot_with_many_horns_off_says_that_its_legs_differ(seed: int) -> None:
     said = walked(20, horns).deviation
     assert said.startswith("horns or links of several legs differ from the profile")
     assert said.endswith("run `sextant camera calibrate`, which measures all horns")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sure_offsets_explain_the_stances_and_are_closer_to_the_true_ones_than_the_profile(seed: int) -> None:
+    """Straight steps on level ground show 6 of 18 combinations of offsets: three distances of either three legs."""
+    horns = np.radians(np.random.default_rng(seed).uniform(-4.0, 4.0, 18))
+    assert walked(4, horns).sure_offsets is None, "too few stances"
+    found = walked(20, horns).sure_offsets
+    assert found is not None
+    assert np.linalg.norm(found - horns) < np.linalg.norm(horns)
+    before, after = (angles(x) - horns.reshape(6, 3) for x in (-0.04, 0.04))
+    legs = ((0, 2, 4), (1, 3, 5))
+    shown = np.concatenate([measure_stance(PROFILE, before, after, three).constant for three in legs])
+    assert np.linalg.matrix_rank(shown) == 6
+    assert np.linalg.norm(shown @ (found - horns)) < 0.3 * np.linalg.norm(shown @ horns)
+
+
+def test_offsets_are_not_sure_without_errors_nor_while_a_slip_may_explain_a_stance() -> None:
+    rng = np.random.default_rng(0)
+    noisy = LegMonitor(PROFILE)
+    for number in range(40):
+        step(noisy, number, rng.normal(0.0, np.radians(0.1), 18), since=CYCLES // 2)  # play and resolution of the encoders
+        assert noisy.sure_offsets is None
+    horns = np.radians(rng.uniform(-3.0, 3.0, 18))
+    monitor = walked(20, horns)
+    assert monitor.sure_offsets is not None
+    step(monitor, 20, horns + one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    for number in range(21, 26):
+        assert monitor.sure_offsets is None
+        step(monitor, number, horns)
+    step(monitor, 26, horns)
+    assert monitor.sure_offsets is not None
+    step(monitor, 27, horns + one(COXA_OF_LEFT_FRONT, 9.0))
+    step(monitor, 28, horns + one(COXA_OF_LEFT_FRONT, 9.0))
+    assert monitor.sure_offsets is None, "it is too small to stop the robot"
 
 
 def test_large_slip_makes_the_robot_slower_at_once_and_stops_it_when_the_same_legs_stand_again() -> None:

@@ -274,3 +274,45 @@ def test_permanently_silent_servo_delays_recovery_by_less_than_2_s() -> None:
     rig.until(lambda: not rig.joints.all_behind, write=True)
     assert rig.now_ns - begin < 2.0e9
     assert rig.joints.vitals.missed[SERVO] >= SILENT
+
+
+# --------------------------------------------------------------------------------------------------- corrected horns
+
+
+def test_correction_of_horns_moves_no_servo_and_next_goals_bring_the_links_to_the_wanted_angles() -> None:
+    rig = JointsRig().start()
+    rig.cycle(3, write=True)
+    goals, q, ticks = rig.joints.goals.copy(), rig.joints.q.copy(), rig.registers(dxl.GOAL_POSITION)
+    offsets = np.radians(np.linspace(-4.0, 4.0, 18)).reshape(6, 3)
+    rig.joints.correct(offsets)
+    np.testing.assert_allclose(rig.joints.q, q + offsets)
+    rig.cycle(8, write=True)  # the goals that it holds
+    np.testing.assert_allclose(rig.registers(dxl.GOAL_POSITION), ticks, atol=1)
+    np.testing.assert_allclose(rig.joints.q, rig.measured + offsets, atol=1e-9)
+    rig.joints.write(goals)
+    rig.cycle(8)
+    np.testing.assert_allclose(rig.joints.q, goals, atol=TICK)
+    np.testing.assert_allclose(rig.measured, goals - offsets, atol=TICK)
+
+
+def test_corrected_goals_keep_joint_limits_with_and_without_the_correction() -> None:
+    rig = JointsRig().start()
+    offsets = np.radians(np.linspace(-4.0, 4.0, 18)).reshape(6, 3)
+    rig.joints.correct(offsets)
+    for end in range(2):
+        limits = PROFILE.joint_limits[..., end]
+        rig.joints.write(limits)
+        rig.cycle(8)
+        np.testing.assert_allclose(
+            rig.measured, np.clip(limits - offsets, *np.moveaxis(PROFILE.joint_limits, -1, 0)), atol=TICK
+        )
+        np.testing.assert_allclose(rig.joints.q, rig.joints.goals, atol=TICK)
+
+
+def test_correction_of_horns_survives_a_lost_bus() -> None:
+    rig = JointsRig().start()
+    offsets = np.full((6, 3), np.radians(2.0))
+    rig.joints.correct(offsets)
+    rig.suffer("bus", "gone", 0.5)
+    rig.until(lambda: rig.joints.gone != "").until(lambda: rig.joints.gone == "")
+    np.testing.assert_allclose(rig.joints.q, rig.measured + offsets, atol=TICK)
