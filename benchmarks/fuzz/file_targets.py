@@ -26,8 +26,12 @@ from sextant.evaluation import report as reports
 from sextant.evaluation.trials import results_store
 from sextant.services.actuator import config as actuator
 from sextant.services.perception import tum
+from sextant.services.simulator.physics import mjcf_description, model
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.files import array_file, config, input_file, picture_file
+from sextant.shared.robot import urdf
+from sextant.shared.robot.description.profile_import import import_profile
+from sextant.shared.robot.description.robot_description import DescriptionError, RobotDescription, read_urdf
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import process
 from sextant.shared.scenario.scenario import load_scenario
@@ -67,7 +71,8 @@ _OWN_ERRORS = (config.ConfigError, input_file.FileError, results_store.ResultsEr
 def file_targets() -> tuple[Target, ...]:
     """Return the targets for files.
 
-    They are scenarios, profiles, settings, text files of recordings, pictures, arrays, keys, and results of earlier runs.
+    They are scenarios, profiles, robot descriptions, settings, text files of recordings, pictures, arrays, keys, and results of
+    earlier runs.
     """
     folder = Folder()
     place = folder.path
@@ -75,6 +80,8 @@ def file_targets() -> tuple[Target, ...]:
     pictures = [cv2.imencode(".png", picture)[1].tobytes() for picture in (grey, cv2.merge([grey.astype(np.uint8)] * 3))]
     scenarios = _shipped("scenario.scenarios", "steps", "mixed", "rubble")
     profiles = [*_shipped("robot.profiles", "phantomx_mk2"), _CALIBRATED.encode()]
+    robot = load_profile("phantomx_mk2")
+    described = [text.encode() for text in (urdf.urdf(robot), model.mjcf(robot))]
     Authority(days=30).issue(place / "keys", "base")
 
     def target(name: str, file: str, examples: Sequence[bytes], twisted: Callable[[bytes, Random], bytes], read: Any) -> Target:
@@ -94,6 +101,8 @@ def file_targets() -> tuple[Target, ...]:
     return (
         target("file, scenario", "scenario.toml", scenarios, _odd_toml, _read_scenario),
         target("file, profile", "robot.toml", profiles, _odd_toml, _read_profile),
+        target("file, URDF", "robot.urdf", described[:1], _odd_attributes, _imported(_read_urdf)),
+        target("file, MJCF", "robot.xml", described[1:], _odd_attributes, _imported(mjcf_description.read_mjcf)),
         target("file, settings", "settings.toml", [b"rate_hz = 100.0\narc = 'flow'\n"], _odd_toml, _read_settings),
         target("file, fleet", "fleet.toml", [_FLEET.encode()], _odd_toml, fleet.load),
         target("file, camera.toml", "camera.toml", [_CAMERA.encode()], _odd_toml, tum.read_camera),
@@ -132,6 +141,22 @@ def _read_scenario(path: Path) -> None:
 
 def _read_profile(path: Path) -> None:
     load_profile(str(path))
+
+
+def _read_urdf(path: Path) -> RobotDescription:
+    return read_urdf(input_file.read_text(path))
+
+
+def _imported(read: Callable[[Path], RobotDescription]) -> Callable[[Path], None]:
+    """Return the import of a robot description, whose errors name the file as the command does."""
+
+    def read_robot(path: Path) -> None:
+        try:
+            import_profile(read(path))
+        except DescriptionError as error:
+            raise input_file.FileError(path, str(error)) from None
+
+    return read_robot
 
 
 def _read_settings(path: Path) -> None:
@@ -231,6 +256,17 @@ def _odd_words(data: bytes, rng: Random) -> bytes:
     words = re.split(rb"(\s+)", data)
     at = rng.randrange(len(words))
     return b"".join([*words[:at], rng.choice(_ODD_WORDS).encode(), *words[at + 1 :]])
+
+
+def _odd_attributes(data: bytes, rng: Random) -> bytes:
+    """Replace some attribute values of XML."""
+    parts = re.split(rb"(\"[^\"]*\")", data)
+    for _ in range(rng.randint(1, 3)):
+        at = 2 * rng.randrange(len(parts) // 2) + 1
+        parts[at] = rng.choice(
+            (rng.choice(_ODD_WORDS).encode().join((b'"', b'"')), parts[2 * rng.randrange(len(parts) // 2) + 1])
+        )
+    return b"".join(parts)
 
 
 def _odd_array(data: bytes, rng: Random) -> bytes:

@@ -88,10 +88,14 @@ def import_(file: str, out: str, joints: str | None, foot: tuple[float, ...] | N
     Meshes are ignored. The robot has six legs of three joints: a vertical coxa axis, and horizontal axes of femur and tibia.
     """
     from sextant.shared.robot.description.profile_import import import_profile, joint_names
+    from sextant.shared.robot.description.robot_description import DescriptionError
     from sextant.shared.robot.profile_text import write_new_profile
 
     names = None if joints is None else joint_names(Path(joints))
-    found = import_profile(_described(Path(file)), names, foot, forward, servo)
+    try:
+        found = import_profile(_described(Path(file)), names, foot, forward, servo)
+    except DescriptionError as error:
+        raise InputError(f"{file}: {error}") from None
     write_new_profile(Path(out), found.profile, [f"Imported from {Path(file).name}.", *found.notes])
     say(f"{out}: {found.profile.name}, whose feet agree with {file} within {1e3 * found.foot_error:.3f} mm")
     for leg, chain in found.joints.items():

@@ -33,11 +33,12 @@ def read_mjcf(path: Path) -> RobotDescription:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         _drop_meshes(spec)
-        model = spec.compile()
-    except (ValueError, OSError) as error:
+        return _description(spec.compile(), spec.modelname)
+    except DescriptionError:
+        raise
+    except (ValueError, OSError) as error:  # also for names that are not UTF-8
         words = " ".join(str(error).split())
         raise DescriptionError(f"MJCF expected: {words[:300]}") from None
-    return _description(model, spec.modelname)
 
 
 def _drop_meshes(spec: Any) -> None:

@@ -90,3 +90,10 @@ def test_other_models_are_an_error(text: str, words: str, tmp_path: Path) -> Non
     path.write_text(text, encoding="utf-8")
     with pytest.raises(DescriptionError, match=words):
         import_profile(read_mjcf(path))
+
+
+def test_names_that_are_not_utf8_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "model.xml"
+    path.write_bytes(HEXAPOD.encode().replace(b"lf knee", b"lf \xff"))
+    with pytest.raises(DescriptionError, match="MJCF expected"):
+        read_mjcf(path)
