@@ -16,7 +16,7 @@ from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Serv
 from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo.servo_model import ServoError, ServoModel, signed
+from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel, signed
 
 _STARTUP_TIMEOUT_NS = 3_000_000_000  # [ns] for the first answers: a simulation starts late, and a USB hub wakes up slowly
 _ADOPT_WITHIN_RAD = np.radians(10.0)  # [rad] between a joint and the goal in its servo, up to which that goal is kept
@@ -302,10 +302,12 @@ class Joints:
         self._torque_loss.end_cycle(self._bus.missed > self._tolerated)
 
     def _restore_torque_limit(self, index: int) -> None:
-        """Give a servo its full torque limit, if it acknowledges its goal."""
+        """Give a servo its full torque limit, if it acknowledges its goal. One that reboots for it loses its torque."""
         servo_id, goal = self._bus.servo_ids[index], self._goal_ticks(self.goals)[index]
         if shutdown.end(self._bus, servo_id, int(goal), int(self._max_torque[index])):
             self.strength[index] = 1.0
+        elif self._bus.model.recovery is Recovery.REBOOT:
+            self.torque[index] = False
 
     def _call_bus(self, call: Callable[[], object]) -> None:
         """Send something to the servos; without a bus do nothing, and if the bus is lost close it."""

@@ -268,12 +268,19 @@ class SerialLine:
         return found
 
     def _keep_answers(self, packets: Iterable[Packet], servo_ids: Sequence[int], size: int, found: dict[int, Packet]) -> None:
-        """Add answers with `size` parameters of servos that were asked and have not answered yet."""
+        """Add answers with `size` parameters of servos that were asked.
+
+        Servos answer in turn. Of answers that are not in order, one is old: none of them is kept.
+        """
         for packet in packets:
-            if packet.servo_id not in servo_ids or packet.servo_id in found:
+            if packet.servo_id not in servo_ids:
                 self.lost[Lost.STRANGER] += 1
             elif len(packet.parameters) != size:
                 self.lost[Lost.SIZE] += 1
+            elif early := [i for i in servo_ids[servo_ids.index(packet.servo_id) :] if i in found]:
+                self.lost[Lost.STRANGER] += 1 + len(early)
+                for servo_id in early:
+                    del found[servo_id]
             else:
                 found[packet.servo_id] = packet
 

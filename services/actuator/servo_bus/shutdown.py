@@ -1,13 +1,14 @@
 """End of the shutdown of an overloaded or hot servo, as its model asks for it."""
 
 from sextant.services.actuator.servo_bus.servo_interface import Servos
-from sextant.shared.servo.servo_model import Recovery
+from sextant.shared.servo.servo_model import Recovery, Register
 
 
 def end(bus: Servos, servo_id: int, goal_ticks: int, torque_limit: int) -> bool:
     """End the shutdown of a servo at a goal that it acknowledges first; return whether it has torque again.
 
-    A servo that must reboot has no torque afterwards: an operator's order turns it on.
+    A servo that must reboot has no torque afterwards: an operator's order turns it on. Each write is repeated once without an
+    acknowledgement: a lost one, or one that packets before it delay, must not leave the servo without torque.
 
     Args:
         bus: The servos.
@@ -15,14 +16,18 @@ def end(bus: Servos, servo_id: int, goal_ticks: int, torque_limit: int) -> bool:
         goal_ticks: Goal position register, the present position.
         torque_limit: Torque limit register.
     """
+
+    def write(register: Register, value: int) -> bool:
+        return bus.write(servo_id, register, value) or bus.write(servo_id, register, value)
+
     table = bus.model.table
     if bus.model.recovery is Recovery.REBOOT:
         bus.reboot(servo_id)
         return False
-    if bus.model.recovery is Recovery.TORQUE_ENABLE and not bus.write(servo_id, table.torque_enable, 0):
+    if bus.model.recovery is Recovery.TORQUE_ENABLE and not write(table.torque_enable, 0):
         return False
-    if not bus.write(servo_id, table.goal_position, goal_ticks):
+    if not write(table.goal_position, goal_ticks):
         return False
-    if not bus.write(servo_id, table.torque_limit, torque_limit):
+    if not write(table.torque_limit, torque_limit):
         return False
-    return bus.model.recovery is Recovery.TORQUE_LIMIT or bus.write(servo_id, table.torque_enable, 1)
+    return bus.model.recovery is Recovery.TORQUE_LIMIT or write(table.torque_enable, 1)

@@ -1,5 +1,6 @@
 """The same driver with servos of every family, against their byte-level emulators."""
 
+from itertools import permutations
 from random import Random
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from sextant.services.actuator.servo_bus import shutdown
 from sextant.services.actuator.servo_bus.bus_scan import prepare, scan_servo
+from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel
 from tests.support.families import FAMILIES, Bench
@@ -105,6 +107,52 @@ def test_shutdown_is_reported_and_ends_only_on_order(name: str, error: ServoErro
     assert ended == (model.recovery is not Recovery.REBOOT)
     bench.pass_time(0.02)
     assert (bench.command.torque_limit[0] > 0.0) == ended
+
+
+@pytest.mark.parametrize("name", ["AX-12A", "STS3215"])
+@pytest.mark.parametrize("lost", range(4))
+def test_one_lost_acknowledgement_does_not_leave_a_servo_without_torque(name: str, lost: int) -> None:
+    answers = -1
+
+    def lose(data: bytes) -> bytes:
+        nonlocal answers
+        answers += bool(data)
+        return b"" if answers == lost else data
+
+    bench = Bench(name, 2, lose)
+    model = bench.model
+    bench.servos.temperature[0] = 120.0
+    bench.pass_time(0.02)
+    bench.servos.temperature[0] = 25.0
+    assert shutdown.end(bench.bus, 1, model.units.centre, model.table.torque_limit.max)
+    bench.bus.set_torque(True)
+    bench.pass_time(0.02)
+    assert bench.command.torque_limit[0] > 0.0
+
+
+@pytest.mark.parametrize("name", ["XL430-W250", "STS3215"])
+def test_old_answer_among_those_of_several_servos_is_not_believed(name: str) -> None:
+    """Replace an answer by an old one of another servo, which comes before or after it."""
+    bench, q = Bench(name, 3), np.array([0.2, -0.3, 0.4])
+    receive, old = bench.emulator.receive, dict[int, Reply]()
+    spoilt, other = 0, 0
+
+    def swap(data: bytes, now_ns: int) -> list[Reply]:
+        replies = receive(data, now_ns)
+        if len(replies) < 3:
+            return replies
+        sent = [one._replace(data=old[other].data) if old and one.servo_id == spoilt else one for one in replies]
+        old.update({one.servo_id: one for one in replies})
+        return sent
+
+    bench.emulator.receive = swap  # type: ignore[method-assign]
+    for spoilt, other in [(0, 0), *permutations((1, 2, 3), 2)]:
+        q = q + 0.03
+        bench.bus.sync_write_goals([bench.model.units.ticks(angle) for angle in q])
+        bench.pass_time(0.02, q)
+        readings = bench.bus.poll(_BUDGET_NS)
+        assert all(abs(one.position - q[one.index]) <= bench.model.units.tick_rad for one in readings), (spoilt, other)
+        assert len(readings) == 3, "it is read again"
 
 
 def test_rebooted_servo_is_silent_then_answers_without_torque() -> None:

@@ -3,6 +3,8 @@
 The port disconnects and returns; servos lose torque and are enabled again.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction
-from sextant.shared.servo.servo_model import Register, ServoError
+from sextant.shared.servo.servo_model import Recovery, Register, ServoError
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
 # ----------------------------------------------------------------------------------------------- a port that disconnects
@@ -261,6 +263,14 @@ def test_restore_torque_sets_goal_to_position_before_torque_limit() -> None:
     others = np.ones((6, 3), dtype=bool)
     others[LEG, JOINT] = False
     np.testing.assert_array_equal(rig.joints.goals[others], goals[others])
+
+
+def test_servo_that_reboots_to_end_its_shutdown_has_lost_its_torque() -> None:
+    rig = JointsRig().start()
+    bus = rig.joints._bus
+    bus.model = replace(bus.model, recovery=Recovery.REBOOT)
+    rig.joints.restore_torque(SERVO)
+    assert np.flatnonzero(rig.joints.vitals.torque_disabled).tolist() == [SERVO]
 
 
 def test_restore_torque_is_skipped_without_goal_confirmation() -> None:
