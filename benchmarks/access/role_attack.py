@@ -17,7 +17,7 @@ from random import Random
 import numpy as np
 
 from benchmarks.access.extreme_values import worst
-from benchmarks.faults.bus_log import Recorder
+from benchmarks.faults.bus_log import Recorder, Role
 from benchmarks.faults.fault_run import SCENARIO
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.services.actuator.safety.torque_off_latch import Latch
@@ -26,7 +26,6 @@ from sextant.shared.recording.foxglove.translation import Foxglove
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import ServiceFailedError
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
-from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.access import ROLE_NAMED, ROLES
 from sextant.shared.wire.messages import (
@@ -149,7 +148,7 @@ def off_delay_s(recorder: Recorder, ordered_s: float, ids: Sequence[int]) -> flo
     """
     limp: set[int] = set()
     for switch in recorder.switches:
-        if switch.heard and switch.register is dxl.TORQUE_ENABLE and switch.t_s >= ordered_s:
+        if switch.heard and switch.role is Role.TORQUE and switch.t_s >= ordered_s:
             limp |= {i for i, value in switch.values.items() if not value}
             if limp.issuperset(ids):
                 return switch.t_s - ordered_s

@@ -16,14 +16,23 @@ _PHASES, _LIVE_PHASES = 300, 30
 @flag("--live", "inject the faults that need live processes over Zenoh, not those in lockstep")
 @option("--phases", "injections of each fault (default: 300, live 30)", "N", type=options.POSITIVE)
 @flag("--list", "list the faults and exit", "listed")
+@options.robot
 @options.jobs
 @option("--out", "folder to write to; injections stored there are not repeated", "DIR")
 @options.as_json
 def faults(
-    names: tuple[str, ...], live: bool, phases: int | None, listed: bool, jobs: int, out: str | None, as_json: bool
+    names: tuple[str, ...],
+    live: bool,
+    phases: int | None,
+    listed: bool,
+    robot: str,
+    jobs: int,
+    out: str | None,
+    as_json: bool,
 ) -> int:
     """Inject faults at many phases of a step, and check the robot's reaction."""
     from benchmarks.faults.cases import BY_NAME, CAMERA_CASES, CASES, LIVE_CASES
+    from benchmarks.faults.fault_run import SCENARIO
 
     names = tuple(match for name in names for match in fnmatch.filter(BY_NAME, name) or [name])
     unknown = [name for name in names if name not in BY_NAME]
@@ -41,7 +50,9 @@ def faults(
     kinds = {case.live for case in cases}
     if len(kinds) > 1:
         raise InputError("either lockstep faults or live faults expected, found both; run the command once for each kind")
-    live = kinds == {True}
+    live, robot = kinds == {True}, options.checked_robot(robot)
+    if live and robot != SCENARIO.robot:
+        raise InputError(f"--robot: {SCENARIO.robot} expected with live faults, found {robot}; other robots walk in lockstep")
     folder = out_folder(out, "faults")
     from benchmarks.faults import table as tables
     from benchmarks.faults.batch import FILE, run_faults
@@ -49,7 +60,8 @@ def faults(
     progress = open_progress(as_json)
     if live:
         warm_up(progress)
-    found = run_faults(cases, phases or (_LIVE_PHASES if live else _PHASES), 1 if live else jobs, folder, progress.say)
+    count = phases or (_LIVE_PHASES if live else _PHASES)
+    found = run_faults(cases, count, 1 if live else jobs, folder, progress.say, robot=robot)
     table = tables.rows(found)
     say(tables.to_json(table).rstrip("\n") if as_json else tables.markdown(table))
     whole_files.write_text(folder / "faults.json", tables.to_json(table), durable=True)

@@ -6,6 +6,7 @@ Injections already made by the same program are not repeated. Every injection is
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ class Injection:
     commit: str = ""  # commit of the program, see `provenance.commit`
 
 
-Runner = Callable[[str, tuple[int, ...]], list[Injection]]
+Runner = Callable[[str, tuple[int, ...], str], list[Injection]]
 
 
 def run_faults(
@@ -50,6 +51,7 @@ def run_faults(
     out: Path,
     say: Callable[[str], None] = lambda _: None,
     run: Runner | None = None,
+    robot: str = SCENARIO.robot,
 ) -> list[Injection]:
     """Inject each fault at the given number of phases, except for stored results.
 
@@ -59,7 +61,8 @@ def run_faults(
         jobs: Number of concurrent walks, each in a separate process.
         out: Folder for `faults.jsonl`.
         say: Called with one line per walk.
-        run: Injects a fault several times, in lockstep by default.
+        run: Injects a fault several times into walks of a robot; `inject` by default.
+        robot: Robot profile by name, or path of a TOML file.
 
     Raises:
         ResultsError: The file there does not consist of complete lines.
@@ -67,11 +70,11 @@ def run_faults(
     """
     refuse_another_program()
     whole_files.make_folder(out)
-    path, mark = out / FILE, fingerprint(SCENARIO)
+    path, mark = out / FILE, fingerprint(replace(SCENARIO, robot=robot))
     results_store.mend(path)
     done = {(one.fault, one.number): one for one in read(path, mark)}
-    tasks = [task for case in cases for task in _tasks(case, phases, done)]
-    left = sum(len(numbers) for _, numbers in tasks)
+    tasks = [(*task, robot) for case in cases for task in _tasks(case, phases, done)]
+    left = sum(len(numbers) for _, numbers, _ in tasks)
     wanted = phases * len(cases)
     if left < wanted:
         say(f"{wanted - left} of {wanted} injections are already done; see {path}")
@@ -90,10 +93,13 @@ def run_faults(
     return [done[name, number] for name in names for number in range(phases)]
 
 
-def inject(name: str, numbers: tuple[int, ...]) -> list[Injection]:
-    """Inject a fault at several phases, and score the results."""
+def inject(name: str, numbers: tuple[int, ...], robot: str = SCENARIO.robot) -> list[Injection]:
+    """Inject a fault at several phases into walks of a robot, and score the results.
+
+    Live walks are those of the default robot.
+    """
     case = BY_NAME[name]
-    begin = LiveWalk if case.live else CameraWalk if case.course else FaultWalk
+    begin = LiveWalk if case.live else partial(CameraWalk if case.course else FaultWalk, robot=robot)
     return [
         Injection(name, number, seed, line.begin_s, line.phase, line.servo, score(line, case, profile))
         for number, seed, line, profile in in_walks(case, numbers, begin)

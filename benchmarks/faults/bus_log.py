@@ -4,26 +4,32 @@ It records goals sent by the host, and torque switches and resets received by th
 """
 
 from dataclasses import dataclass
+from enum import Enum, auto
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.dynamixel import Instruction, PacketParser
-from sextant.shared.servo.servo_model import Packet, Register
+from sextant.shared.servo.servo_model import Kind, Recovery, Register, Request
 
 _SIDES = ("sent", "heard")
 
 
+class Role(Enum):
+    """What a switch does."""
+
+    TORQUE = auto()  # turn torque on or off
+    RESET = auto()  # end the shutdown of a servo
+
+
 class Switch(NamedTuple):
-    """A register write to some servos."""
+    """A command that switches some servos."""
 
     t_s: float
     heard: bool  # received by the servos; else sent by the host
-    register: Register
-    values: dict[int, int]  # value for each servo ID
+    role: Role
+    values: dict[int, int]  # value of the register for each servo ID, 0 for a reboot
 
 
 class Goals(NamedTuple):
@@ -31,7 +37,7 @@ class Goals(NamedTuple):
 
     t_s: float
     ticks: NDArray[np.int64]  # (18,) in the order of the robot profile
-    speeds: NDArray[np.int64]  # (18,) moving speeds of the same packet, 0 for the maximum
+    speeds: NDArray[np.int64]  # (18,) goal speeds of the same packet [ticks], 0 for the maximum
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +58,14 @@ class Recorder:
         self.switches: list[Switch] = []
         self.outside: list[Outside] = []
         self._ids = profile.servo_ids.ravel().tolist()
-        self._parsers = {side: PacketParser() for side in _SIDES}
+        self._model = profile.servo_model
+        self._protocol, self._table = self._model.protocol, self._model.table
+        self._parsers = {side: self._protocol.instruction_parser() for side in _SIDES}
         servo = profile.servo_angles(np.moveaxis(profile.joint_limits, -1, 0)).reshape(2, 18)
-        ticks = dxl.TICK_CENTRE + np.sort(servo, axis=0) / dxl.TICK_RAD
+        units = self._model.units
+        ticks = units.centre + np.sort(servo, axis=0) / units.tick_rad
         # a goal is a whole tick: the nearest one may be half a tick beyond the limit
-        self._low, self._high = (np.rint(side).clip(0, dxl.TICK_MAX).astype(np.int64) for side in ticks)
+        self._low, self._high = (np.rint(side).clip(0, units.max_position).astype(np.int64) for side in ticks)
 
     def sent(self, data: bytes, now_ns: int) -> None:
         """Process bytes sent by the host."""
@@ -68,28 +77,35 @@ class Recorder:
 
     def _hear(self, side: str, data: bytes, now_ns: int) -> None:
         for packet in self._parsers[side].feed(data):
-            writes = _writes(packet)
-            if writes:
-                self._note(side, now_ns * 1e-9, *writes)
+            request = self._protocol.request(packet) if packet.intact else None
+            if request is not None:
+                self._note(side, now_ns * 1e-9, packet.servo_id, request)
 
-    def _note(self, side: str, t_s: float, address: int, rows: dict[int, bytes]) -> None:
-        speeds: dict[int, int] = {}
-        for register in (dxl.MOVING_SPEED, dxl.GOAL_POSITION, dxl.TORQUE_ENABLE, dxl.TORQUE_LIMIT):
-            start = register.address - address
-            ids = self._ids if dxl.BROADCAST_ID in rows else rows
-            values = {
-                i: int.from_bytes(rows.get(i, rows.get(dxl.BROADCAST_ID, b""))[start : start + register.size], "little")
-                for i in ids
-                if start >= 0 and len(rows.get(i, rows.get(dxl.BROADCAST_ID, b""))) >= start + register.size
-            }
-            if not values:
-                continue
-            if register is dxl.MOVING_SPEED:
-                speeds = values
-            elif register is not dxl.GOAL_POSITION:
-                self.switches.append(Switch(t_s, side == "heard", register, values))
-            elif side == "sent":
-                self._judge(t_s, values, speeds)
+    def _note(self, side: str, t_s: float, servo_id: int, request: Request) -> None:
+        """Store the goals and switches of a request to one servo or to all."""
+        ids = self._ids if servo_id == self._protocol.BROADCAST_ID else [servo_id]
+        if request.kind is Kind.REBOOT:
+            self.switches.append(Switch(t_s, side == "heard", Role.RESET, dict.fromkeys(ids, 0)))
+            return
+        if request.kind not in (Kind.WRITE, Kind.SYNC_WRITE):
+            return
+        rows = dict(request.rows) if request.kind is Kind.SYNC_WRITE else dict.fromkeys(ids, request.data)
+
+        def written(register: Register) -> dict[int, int]:
+            start = register.address - request.address
+            end = start + register.size
+            return {i: int.from_bytes(row[start:end], "little") for i, row in rows.items() if start >= 0 and end <= len(row)}
+
+        table = self._table
+        if side == "sent" and (goals := written(table.goal_position)):
+            self._judge(t_s, goals, written(table.goal_speed))
+        # Torque off to one servo begins the reset of its shutdown, if the model asks for that.
+        one_by_one = request.kind is Kind.WRITE and len(ids) == 1 and self._model.recovery is Recovery.TORQUE_ENABLE
+        if torque := written(table.torque_enable):
+            role = Role.RESET if one_by_one and not any(torque.values()) else Role.TORQUE
+            self.switches.append(Switch(t_s, side == "heard", role, torque))
+        if self._model.recovery is Recovery.TORQUE_LIMIT and (limits := written(table.torque_limit)):
+            self.switches.append(Switch(t_s, side == "heard", Role.RESET, limits))
 
     def _judge(self, t_s: float, values: dict[int, int], speeds: dict[int, int]) -> None:
         """Store goals, and those outside the joint limits."""
@@ -98,18 +114,3 @@ class Recorder:
         self.goals.append(Goals(t_s, ticks, np.array([speeds.get(i, 0) for i in self._ids])))
         for index in np.flatnonzero((ticks >= 0) & ((ticks < self._low) | (ticks > self._high))).tolist():
             self.outside.append(Outside(t_s, self._ids[index], int(ticks[index])))
-
-
-def _writes(packet: Packet) -> tuple[int, dict[int, bytes]] | None:
-    """Return the address written by a packet, and the data by servo.
-
-    Return None for a packet that writes nothing.
-    """
-    parameters = packet.parameters
-    if packet.code == Instruction.WRITE and len(parameters) >= 2:
-        return parameters[0], {packet.servo_id: parameters[1:]}
-    if packet.code != Instruction.SYNC_WRITE or len(parameters) < 2 or not parameters[1]:
-        return None
-    size = parameters[1]
-    rows = range(2, len(parameters) - size, size + 1)
-    return parameters[0], {parameters[i]: parameters[i + 1 : i + 1 + size] for i in rows}

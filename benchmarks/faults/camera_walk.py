@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.faults.cases import Case, OnCamera
-from benchmarks.faults.fault_run import Observed
+from benchmarks.faults.fault_run import SCENARIO, Observed
 from benchmarks.faults.lockstep_walk import FaultWalk
 from benchmarks.faults.timeline import Status
 from sextant.shared.runtime.lockstep import ServiceFailedError
@@ -25,12 +25,12 @@ class CameraWalk(FaultWalk):
 
     phases_s = _PHASES_S
 
-    def __init__(self, case: Case, seed: int):
+    def __init__(self, case: Case, seed: int, robot: str = SCENARIO.robot):
         """Assemble the walk; see `FaultWalk`."""
         self.scenario = replace(load_scenario(case.course), time_limit_s=600.0)
         self._statuses: list[Status] = []
         self._pose: BodyPose | None = None
-        super().__init__(case, seed)
+        super().__init__(case, seed, robot)
 
     def break_and_watch(self, begin: float, rng: np.random.Generator) -> Observed:
         """Inject the fault, and observe until the robot walks again or arrives, at most for the time of the case."""

@@ -79,9 +79,14 @@ class FaultRun(ABC):
     start_s: float  # timeout [s] for the start of a walk
     phases_s = PHASES_S
 
-    def __init__(self, case: Case):
-        """Start without messages; `case` is the fault to inject."""
-        self.profile = load_profile(SCENARIO.robot)
+    def __init__(self, case: Case, robot: str = SCENARIO.robot):
+        """Start without messages.
+
+        Args:
+            case: The fault to inject.
+            robot: Robot profile by name, or path of a TOML file.
+        """
+        self.profile = load_profile(robot)
         self.recorder = Recorder(self.profile)
         self.words: list[Word] = []
         self.state: ActuatorState | None = None

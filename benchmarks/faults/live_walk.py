@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.faults import bus_sniffer, cpu_load, instrumented_robot
+from benchmarks.faults.bus_log import Role
 from benchmarks.faults.cases import Away, Case, Deed, Hogs, Off, OnBus
 from benchmarks.faults.fault_run import LEAST_WATCH_S, FaultRun, Observed
 from benchmarks.faults.instrumented_robot import Page, Places
@@ -29,7 +30,6 @@ from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.recording.reader import files_of, newest_ns
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.scenario.scenario import load_scenario
-from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message, Mode, ModeCommand, RecordCommand
 from sextant.shared.wire.ports import free_port
@@ -225,7 +225,7 @@ class LiveWalk(FaultRun):
         """
         on = dict.fromkeys(self.profile.servo_ids.ravel().tolist(), True)
         for switch in self.recorder.switches:
-            if switch.heard and switch.register is dxl.TORQUE_ENABLE:
+            if switch.heard and switch.role is Role.TORQUE:
                 on |= {servo: bool(value) for servo, value in switch.values.items()}
         return np.array(list(on.values()))
 

@@ -15,6 +15,7 @@ from zlib import crc32
 
 import numpy as np
 
+from benchmarks.faults.bus_log import Role
 from benchmarks.faults.cases import Away, Case, Clock, Deed, Late, Meddling, Off, OnBus
 from benchmarks.faults.fault_run import LEAST_WATCH_S, REPEAT_S, SCENARIO, FaultRun, Observed
 from benchmarks.faults.planner_faults import PlannerFaultInjector
@@ -25,7 +26,9 @@ from sextant.services.simulator.service import Simulator
 from sextant.shared.runtime.lockstep import Outage, ServiceFailedError
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.runtime.workers import in_copy
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.models import AX_12A
+from sextant.shared.servo.servo_model import ServoModel
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode, ModeCommand
 
@@ -40,14 +43,15 @@ class FaultWalk(FaultRun):
     start_s = 20.0
     scenario = SCENARIO
 
-    def __init__(self, case: Case, seed: int):
+    def __init__(self, case: Case, seed: int, robot: str = SCENARIO.robot):
         """Assemble the walk.
 
         Args:
             case: The fault to inject.
             seed: Random seed of everything but the phases.
+            robot: Robot profile by name, or path of a TOML file.
         """
-        super().__init__(case)
+        super().__init__(case, robot)
         self._rng = np.random.default_rng([crc32(case.name.encode()), seed])
         self._meddler = PlannerFaultInjector(np.random.default_rng([seed, 1]))
         self._late_s, self._late_until_s = 0.0, -math.inf  # [s] duration of the actuator's cycles until a time
@@ -57,10 +61,8 @@ class FaultWalk(FaultRun):
         stop_port = f"faults {os.getpid()}"
         self._latch = Latch.of_port(stop_port)
         self._latch.open()
-        around = {"planner": self._meddler.around}
-        self._run = LockstepRun(
-            self.scenario, seed, self.profile, self._hear, every_frame=False, around=around, stop_port=stop_port
-        )
+        around, scenario = {"planner": self._meddler.around}, replace(self.scenario, robot=robot)
+        self._run = LockstepRun(scenario, seed, self.profile, self._hear, every_frame=False, around=around, stop_port=stop_port)
         simulator = self._run.service("simulator")
         assert isinstance(simulator, Simulator)
         self._simulator = simulator
@@ -69,7 +71,7 @@ class FaultWalk(FaultRun):
         servos = simulator.servos
         servos.charge = case.charge
         if case.warm_c:
-            servos.temperature[servos.tables[:, dxl.ID.address] == self._servo] = case.warm_c
+            servos.temperature[servos.column(servos.table.id) == self._servo] = case.warm_c
 
     @property
     def now_s(self) -> float:
@@ -132,10 +134,11 @@ class FaultWalk(FaultRun):
             self._failed = str(error)
         finally:
             self._meddler.how, time.time = "", wall
+        servos = self._simulator.servos
         return Observed(
             end_s=end,
             servo=self._servo if case.concerns_one else -1,
-            pulls=self._simulator.servos.tables[:, dxl.TORQUE_ENABLE.address] > 0,
+            pulls=servos.column(servos.table.torque_enable) > 0,
             ordered_s=ordered,
             returned_s=begin + max(self._away_for(), self._gap_until(ordered - begin, begin)) if case.lets_go else nan,
             empty_s=empty,
@@ -157,7 +160,7 @@ class FaultWalk(FaultRun):
                 return begin + for_s
             case OnBus(fault, any_servo):
                 servo = self._servo if any_servo else fault.servo
-                self._simulator.inject(replace(fault, at_s=begin, servo=servo))
+                self._simulator.inject(replace(of_same_angle(fault, self.profile.servo_model), at_s=begin, servo=servo))
                 return begin + fault.for_s
             case Late(cycle_s, for_s):
                 self._late_s, self._late_until_s = cycle_s, begin + for_s
@@ -186,7 +189,7 @@ class FaultWalk(FaultRun):
         Return 0 if the order was received before.
         """
         from_s, until_s = gap_after(self._case.deeds, ordered_s)
-        offs = [s.t_s - begin for s in self.recorder.switches if s.heard and s.register is dxl.TORQUE_ENABLE]
+        offs = [s.t_s - begin for s in self.recorder.switches if s.heard and s.role is Role.TORQUE]
         met = from_s - ordered_s < SOON_S and not any(ordered_s <= t < from_s for t in offs)
         return until_s if met else 0.0
 
@@ -209,6 +212,18 @@ class FaultWalk(FaultRun):
         elif topic is topics.ODOMETRY and at_ns * 1e-9 < self._late_until_s:  # sent in each of the actuator's cycles
             until_ns = at_ns + round((self._late_s - _BESIDE_S) * 1e9)
             self._run.lose(Outage("actuator", at_ns + round(_BESIDE_S * 1e9), until_ns, kill=False))
+
+
+def of_same_angle(fault: BusFault, model: ServoModel) -> BusFault:
+    """Return a fault given in ticks of an AX-12A, with the same angle in ticks of another servo."""
+    finer = AX_12A.units.tick_rad / model.units.tick_rad
+    offset, bit = round(fault.offset_ticks * finer), fault.bit + round(math.log2(finer))
+    match fault.target, fault.kind:
+        case "servo", "wrong":
+            return replace(fault, offset_ticks=offset)
+        case "servo", "bit":
+            return replace(fault, bit=bit)
+    return fault
 
 
 _BUSES_AWAY = ("silent", "stuck", "garbage", "gone")

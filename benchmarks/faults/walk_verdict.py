@@ -12,7 +12,7 @@ from math import ceil, inf, nan
 
 import numpy as np
 
-from benchmarks.faults.bus_log import Goals
+from benchmarks.faults.bus_log import Goals, Role
 from benchmarks.faults.cases import Case
 from benchmarks.faults.timeline import STALE_S, Timeline, Truth, Word
 from sextant.evaluation.metrics.walk_metrics import Flags, debounced, stability_margin
@@ -22,7 +22,7 @@ from sextant.services.actuator.safety.health_monitor import LATE
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.stability import centre_of_mass
-from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.servo_model import Recovery
 from sextant.shared.wire.messages import Mode
 
 _MARGIN_S = 3.0  # [s] in which the stability margin is evaluated
@@ -90,11 +90,13 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     away, stopping = (decided, pattern) if np.isfinite(decided) else (_unheard(line.words), _NOT_AS_PLANNED)
     again = _again(since, max(line.end_s, away), stopping) if np.isfinite(away) else nan
     quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # its state follows the first goals of the step
-    reset = next((s.t_s for s in line.switches if s.heard and s.register == dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
+    reset = next((s.t_s for s in line.switches if s.heard and s.role is Role.RESET and s.t_s > line.begin_s), inf)
+    # After another kind of reset, the host turns torque on.
+    stays_s = inf if profile.servo_model.recovery is Recovery.TORQUE_LIMIT else reset
     stopped = [w for w in since if w.mode is not Mode.WALK]
     off_s, before = off_time(line)
     seated = next((w.t_s for w in since if w.mode is Mode.OFF), nan)
-    switches = [s.heard for s in line.switches if s.register == dxl.TORQUE_ENABLE and s.t_s > line.begin_s]
+    switches = [s.heard for s in line.switches if s.role is Role.TORQUE and line.begin_s < s.t_s < stays_s]
     cycle_s, missed = cycles(line)
     stood = tuple(_stood(line))
     named_s, named_as = _name_of_lie(since, line.servo, profile) if case.lies else (nan, "")
@@ -118,7 +120,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         outside=len(line.outside),
         plans=line.plans,
         walked=line.walked,
-        goal_dps=_goal_speed(line),
+        goal_dps=_goal_speed(line, profile),
         reason=stopped[-1].reason if stopped else "",
         lost_s=line.lost_s,
         stuck=line.stuck,
@@ -194,7 +196,7 @@ def off_time(line: Timeline) -> tuple[float, int]:
     if not np.isfinite(line.ordered_s):
         return nan, 0
     begin = np.fmax(line.ordered_s, line.returned_s)
-    offs = [s for s in line.switches if s.register == dxl.TORQUE_ENABLE and not any(s.values.values()) and len(s.values) == 18]
+    offs = [s for s in line.switches if s.role is Role.TORQUE and not any(s.values.values()) and len(s.values) == 18]
     heard = next((s.t_s for s in offs if s.heard and s.t_s >= line.ordered_s), nan)
     sent = next((s.t_s for s in offs if not s.heard and s.t_s >= begin), inf)
     first = min(heard, sent) if np.isfinite(heard) else sent
@@ -222,7 +224,7 @@ def _cycle_goals(line: Timeline) -> list[Goals]:
     return [goals for goals, first in zip(sent, apart, strict=True) if first]
 
 
-def _goal_speed(line: Timeline) -> float:
+def _goal_speed(line: Timeline, profile: RobotProfile) -> float:
     """Return the speed [deg/s] of the fastest goal, without one tick of rounding.
 
     Cycles are taken as even, whenever their packets are sent.
@@ -232,7 +234,7 @@ def _goal_speed(line: Timeline) -> float:
         return nan
     beyond = np.abs(np.diff([goals.ticks for goals in sent], axis=0)) - 1
     took = _CYCLE_S * np.maximum(np.rint(np.diff([goals.t_s for goals in sent]) / _CYCLE_S), 1.0)
-    return float(np.degrees(dxl.TICK_RAD * beyond / took[:, None]).max(initial=0.0))
+    return float(np.degrees(profile.servo_model.units.tick_rad * beyond / took[:, None]).max(initial=0.0))
 
 
 def carrying(truth: Truth, profile: RobotProfile) -> Flags:
@@ -302,9 +304,10 @@ def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) 
     first = max(sum(goals.t_s < from_s for goals in recent) - 1, 0)  # the goals before `from_s` are the current command
     ticks = np.array([goals.ticks for goals in recent[first:]]).reshape(-1, 18)
     speeds = np.array([goals.speeds for goals in recent[first:]]).reshape(-1, 18)
-    most = np.where(speeds > 0, speeds * dxl.SPEED_RAD_S * _CYCLE_S, np.inf)
+    units = profile.servo_model.units
+    most = np.where(speeds > 0, speeds * units.speed_rad_s * _CYCLE_S, np.inf)
     whole = profile.servo_ids.ravel() != line.servo
-    goals = np.degrees(np.minimum(dxl.TICK_RAD * np.abs(np.diff(ticks, axis=0)), most[1:]))[:, whole].max(initial=0.0)
+    goals = np.degrees(np.minimum(units.tick_rad * np.abs(np.diff(ticks, axis=0)), most[1:]))[:, whole].max(initial=0.0)
     return float(max(joints, goals))
 
 

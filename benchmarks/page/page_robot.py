@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.faults import bus_sniffer, instrumented_robot
-from benchmarks.faults.bus_log import Recorder
+from benchmarks.faults.bus_log import Recorder, Role
 from benchmarks.faults.instrumented_robot import Page, Places
 from sextant.deploy.launch.launcher import Launcher
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
 from sextant.shared.wire.ports import free_port
@@ -142,7 +141,8 @@ class PageRobot:
         """
         goals = list(self.recorder.goals)
         t = np.array([g.t_s for g in goals])
-        servo = dxl.TICK_RAD * (np.array([g.ticks for g in goals]).reshape(-1, 6, 3) - dxl.TICK_CENTRE)
+        units = self.profile.servo_model.units
+        servo = units.tick_rad * (np.array([g.ticks for g in goals]).reshape(-1, 6, 3) - units.centre)
         feet = body_forward(self.profile, np.array([self.profile.joint_angles(q) for q in servo]))[:, ~swing]
         body = feet.mean(axis=1)[:, :2]
         way = np.linalg.norm(body[_WINDOW:] - body[:-_WINDOW], axis=-1)
@@ -155,7 +155,7 @@ class PageRobot:
     def torque_off_after(self, since_s: float) -> float:
         """Return how long [s] after a time torque off was on the bus; NaN if never."""
         for switch in list(self.recorder.switches):
-            off = switch.register is dxl.TORQUE_ENABLE and not any(switch.values.values())
+            off = switch.role is Role.TORQUE and not any(switch.values.values())
             if off and switch.t_s >= since_s:
                 return switch.t_s - since_s
         return np.nan

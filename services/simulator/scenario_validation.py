@@ -15,12 +15,12 @@ def check_scenario(scenario: Scenario, seed: int, robot: str) -> None:
     `robot` is a profile by name, or the path of a TOML file.
 
     Raises:
-        ConfigError: The terrain cannot be built, or a fault names a servo that the robot does not have.
+        ConfigError: The terrain cannot be built, or a fault names a servo or a bit that the robot does not have.
     """
     build_terrain(scenario, np.random.default_rng([seed, 0]))
     profile = load_profile(robot)
     try:
         for fault in scenario.bus_faults:
-            row_of(fault, list(profile.servo_names))
+            row_of(fault, list(profile.servo_names), profile.servo_model.table)
     except ValueError as error:
         raise ConfigError(f"scenario {scenario.name}", [str(error)]) from None

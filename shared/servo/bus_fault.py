@@ -126,7 +126,7 @@ class BusFault:
     celsius: int = 85  # [deg C] value of the temperature register
     degrees: float = 20.0  # [deg] by which the horn slips or the encoder jumps, in the direction of growing servo angles
     deg_per_s: float = 2.0  # [deg/s] drift of the encoder
-    bit: int = 6  # of the goal register, 0 to 9; bit 6 is worth 64 ticks or 19 deg
+    bit: int = 6  # of the goal register, 0 to 9, or 11 with 4096 positions; bit 6 is 19 deg of an AX-12A
     renamed: bool = False  # True: the port returns under another name
     volts: float = 2.0  # [V] voltage drop
 
@@ -138,12 +138,12 @@ class BusFault:
         *config.each("share", lambda share: 0 < share <= 1, "a share above 0, at most 1,"),
         *config.each("value", lambda value: 0 <= value <= 255, "a byte, 0 to 255,"),
         *config.each("delay_ms on_ms off_ms", lambda time: 0 < time <= 60_000, "more than 0 and at most 60000 ms"),
-        *config.each("offset_ticks", lambda ticks: 0 < abs(ticks) <= 1023, "-1023 to 1023 ticks, not 0,"),
+        *config.each("offset_ticks", lambda ticks: 0 < abs(ticks) <= 4095, "-4095 to 4095 ticks, not 0,"),
         *config.each("kelvin_per_s", lambda rate: 0 < rate <= 100, "more than 0 and at most 100 K/s"),
         *config.each("celsius", lambda celsius: 0 <= celsius <= 255, "0 to 255 deg C"),
         *config.each("degrees", lambda angle: 0 < abs(angle) <= 90, "-90 to 90 deg, not 0,"),
         *config.each("deg_per_s", lambda rate: 0 < abs(rate) <= 1000, "-1000 to 1000 deg/s, not 0,"),
-        *config.each("bit", lambda bit: 0 <= bit <= 9, "a bit from 0 to 9"),
+        *config.each("bit", lambda bit: 0 <= bit <= 11, "a bit from 0 to 11"),
         *config.each("volts", lambda volts: 0 < volts <= 20, "more than 0 and at most 20 V"),
         config.Check(("target", "kind", *_PARAMETERS), _meaningless),
     )

@@ -15,7 +15,7 @@ from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersO
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.servo.bus_fault import BusFault
-from sextant.shared.servo.servo_model import BusProtocol, ServoError
+from sextant.shared.servo.servo_model import BusProtocol, ControlTable, ServoError
 from sextant.shared.wire.messages import FaultTarget
 
 _SEC, _MS = 1e9, 1_000_000
@@ -84,12 +84,15 @@ class _Running:
         return 0 if share >= 1.0 else int(math.log(1.0 - self.rng.random()) / math.log(1.0 - share))
 
 
-def row_of(fault: BusFault, ids: Sequence[int]) -> int:
+def row_of(fault: BusFault, ids: Sequence[int], table: ControlTable) -> int:
     """Return the index of a fault's servo among all ids; -1 without a servo.
 
     Raises:
-        ValueError: The servo does not exist.
+        ValueError: The servo does not exist, or its goal register does not have the bit of the fault.
     """
+    last_bit = table.goal_position.max.bit_length() - 1
+    if (fault.target, fault.kind) == ("servo", "bit") and fault.bit > last_bit:
+        raise ValueError(f"{fault}: a bit from 0 to {last_bit} of the goal register expected, found {fault.bit}")
     if fault.servo >= 0 and fault.servo not in ids:
         raise ValueError(f"{fault}: one of the servos {', '.join(map(str, sorted(ids)))} expected, found {fault.servo}")
     return ids.index(fault.servo) if fault.servo >= 0 else -1
@@ -108,7 +111,7 @@ class BusFaults(AnswersOnly):
             faults: Faults with their times.
 
         Raises:
-            ValueError: A fault names a servo that does not exist.
+            ValueError: A fault names a servo or a bit that does not exist.
         """
         self.origin_ns: int | None = 0  # bus time at which simulated time is 0; None before simulated time has started
         self._overhear: Callable[[bytes, int], object] | None = None
@@ -127,9 +130,9 @@ class BusFaults(AnswersOnly):
         """Schedule a fault at its time, or from now [ns] on if that time has passed.
 
         Raises:
-            ValueError: The fault names a servo that does not exist.
+            ValueError: The fault names a servo or a bit that does not exist.
         """
-        row = row_of(fault, self._bank.column(self._bank.table.id).tolist())
+        row = row_of(fault, self._bank.column(self._bank.table.id).tolist(), self._bank.table)
         begin_ns = max(round(fault.at_s * _SEC), self._simulated(now_ns))
         end_ns = begin_ns + round(fault.for_s * _SEC)
         rng = Random(f"{self._seed} {self._injected}")

@@ -24,7 +24,7 @@ class Runner:
     def __init__(self) -> None:
         self.asked: list[tuple[str, tuple[int, ...]]] = []
 
-    def __call__(self, name: str, numbers: tuple[int, ...]) -> list[Injection]:
+    def __call__(self, name: str, numbers: tuple[int, ...], robot: str) -> list[Injection]:
         self.asked.append((name, numbers))
         outcome = CALM if name == "sag" else GOOD
         return [Injection(name, number, 1000, 5.0 + number, 0.5, -1, outcome) for number in numbers]

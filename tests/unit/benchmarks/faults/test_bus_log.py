@@ -1,11 +1,15 @@
 """The recorder on the servo bus, with given bytes."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.faults.bus_log import Recorder
+from benchmarks.faults.bus_log import Recorder, Role
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo import dynamixel2
+from sextant.shared.servo.servo_model import Recovery
+from tests.support.families import FAMILIES, robot_with
 from tests.support.timelines import PROFILE
 
 IDS = PROFILE.servo_ids.ravel().tolist()
@@ -45,7 +49,7 @@ def test_torque_switches_are_logged_as_sent_and_received() -> None:
     assert len(recorder.switches[-1].values) == 18
     recorder.heard(dxl.write(16, dxl.TORQUE_LIMIT.address, dxl.TORQUE_LIMIT.encode(1023)), 0)
     assert recorder.switches[-1].values == {16: 1023}
-    assert recorder.switches[-1].register is dxl.TORQUE_LIMIT
+    assert recorder.switches[-1].role is Role.RESET
 
 
 def test_broadcast_write_is_logged_for_all_servos_and_read_is_not() -> None:
@@ -54,3 +58,27 @@ def test_broadcast_write_is_logged_for_all_servos_and_read_is_not() -> None:
     assert recorder.switches[0].values == dict.fromkeys(IDS, 1)
     recorder.heard(dxl.read(16, dxl.TORQUE_ENABLE.address, 1), 0)
     assert len(recorder.switches) == 1
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_goals_switches_and_resets_are_read_from_each_family(name: str) -> None:
+    profile = robot_with(name)
+    model, ids = profile.servo_model, profile.servo_ids.ravel().tolist()
+    table, protocol, recorder = model.table, model.protocol, Recorder(profile)
+    block, row = table.goals, bytearray(table.goals.size)
+    for register, value in ((table.goal_position, model.units.centre), (table.goal_speed, 77)):
+        at = register.address - block.address
+        row[at : at + register.size] = register.encode(value)
+    recorder.sent(protocol.sync_write(block.address, block.size, [(i, bytes(row)) for i in ids]), 0)
+    (goals,) = recorder.goals
+    assert set(goals.ticks.tolist()) == {model.units.centre}
+    assert set(goals.speeds.tolist()) == {77}
+    assert not recorder.outside
+    recorder.heard(protocol.write(protocol.BROADCAST_ID, table.torque_enable.address, b"\0"), 0)
+    resets = {
+        Recovery.TORQUE_LIMIT: protocol.write(3, table.torque_limit.address, table.torque_limit.encode(table.torque_limit.max)),
+        Recovery.TORQUE_ENABLE: protocol.write(3, table.torque_enable.address, b"\0"),
+        Recovery.REBOOT: dynamixel2.reboot(3),
+    }
+    recorder.heard(resets[model.recovery], 0)
+    assert [(switch.role, list(switch.values)) for switch in recorder.switches] == [(Role.TORQUE, ids), (Role.RESET, [3])]

@@ -24,3 +24,10 @@ def test_mixed_and_unknown_faults_are_refused(capsys: pytest.CaptureFixture[str]
     assert "run the command once for each" in capsys.readouterr().err
     assert main(["faults", "live-hog"]) == WRONG_INPUT
     assert "did you mean 'live-hogs'?" in capsys.readouterr().err
+
+
+def test_live_faults_of_another_robot_and_unknown_robots_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["faults", "live-hogs", "--robot", "printed_sts3215"]) == WRONG_INPUT
+    assert "phantomx_mk2 expected with live faults" in capsys.readouterr().err
+    assert main(["faults", "sag", "--robot", "printed"]) == WRONG_INPUT
+    assert "printed_sts3215" in capsys.readouterr().err

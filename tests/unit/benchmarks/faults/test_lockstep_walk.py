@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from benchmarks.faults.cases import BY_NAME, Late
-from benchmarks.faults.lockstep_walk import FaultWalk, gap_after
+from benchmarks.faults.lockstep_walk import FaultWalk, gap_after, of_same_angle
 from benchmarks.faults.walk_verdict import score
+from sextant.services.simulator.servo_bus.bus_faults import row_of
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.models import AX_12A, MODELS
+from sextant.shared.servo.servo_model import ServoModel
 
 NOW_AND_THEN = ("bus-intermittent", "noise-bursts", "off-bus-intermittent", "off-noise-bursts")
 
@@ -25,6 +29,17 @@ def test_other_cases_have_no_bus_gap() -> None:
     for name, case in BY_NAME.items():
         if name not in NOW_AND_THEN:
             assert gap_after(case.deeds, 0.24) == (math.inf, math.inf), name
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_faults_in_ticks_are_the_same_angle_with_each_servo(model: ServoModel) -> None:
+    for fault in (BusFault("servo", "wrong", 0.0, servo=1), BusFault("servo", "bit", 0.0, servo=1)):
+        scaled = of_same_angle(fault, model)
+        tick, ax_tick = model.units.tick_rad, AX_12A.units.tick_rad
+        assert scaled.offset_ticks * tick == pytest.approx(fault.offset_ticks * ax_tick, rel=0.01) or fault.kind == "bit"
+        assert 2.0**scaled.bit * tick == pytest.approx(2.0**fault.bit * ax_tick, rel=0.2) or fault.kind == "wrong"
+        assert row_of(scaled, [1], model.table) == 0
+        assert (scaled == fault) == (tick == ax_tick)
 
 
 @pytest.mark.slow

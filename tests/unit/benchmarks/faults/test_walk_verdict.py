@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.faults.bus_log import Goals, Switch
+from benchmarks.faults.bus_log import Goals, Role, Switch
 from benchmarks.faults.cases import BY_NAME
 from benchmarks.faults.timeline import Status, Timeline
 from benchmarks.faults.walk_verdict import cycles, off_time, score
@@ -22,7 +22,7 @@ NO_PLAN = "no new plan received for 0.18 s"
 
 
 def torque(after_s: float, on: bool, heard: bool = True, ids: list[int] = IDS) -> Switch:
-    return Switch(BEGIN_S + after_s, heard, dxl.TORQUE_ENABLE, dict.fromkeys(ids, int(on)))
+    return Switch(BEGIN_S + after_s, heard, Role.TORQUE, dict.fromkeys(ids, int(on)))
 
 
 def goal(after_s: float, ticks: int = 512, speed: int = 0) -> Goals:
@@ -165,7 +165,7 @@ def test_lunge_is_measured_only_for_reset_joint() -> None:
     truth = standing()
     after = truth.t > BEGIN_S + 1.0
     truth.q[after, 3, 1] = np.radians(20.0) * (truth.t[after] - BEGIN_S - 1.0)
-    reset = Switch(BEGIN_S + 0.9, True, dxl.TORQUE_LIMIT, {16: 1023})
+    reset = Switch(BEGIN_S + 0.9, True, Role.RESET, {16: 1023})
     said = (word(0.1, Mode.FAULT), word(3.9, Mode.WALK, "walking"))
     case = BY_NAME["overload"]
     of_it = score(timeline(*said, truth=truth, switches=(reset,), servo=int(PROFILE.servo_ids[3, 1])), case, PROFILE)
