@@ -102,6 +102,7 @@ RUN_BY = {
     "benchmarks faults --live": "tests/live/test_live_faults.py::test_hung_actuator_is_replaced_and_robot_holds",
     "benchmarks page": "tests/live/test_page.py::test_robot_walks_while_pad_is_held",
     "benchmarks soak": "tests/live/test_soak.py::test_soak_measures_memory_of_processes_and_age_of_topics",
+    "benchmarks checksums": "tests/unit/benchmarks/test_bench_checksums.py::test_checksums_command_writes_table",
     "benchmarks bus": "tests/unit/benchmarks/test_bench_bus.py::test_bus_command_writes_table",
     "benchmarks start": "tests/unit/benchmarks/test_bench_start.py::test_start_command_writes_figures",
     "benchmarks strangers": "tests/live/test_strangers.py::test_base_and_actuator_connect_among_unauthorized_clients",

@@ -432,6 +432,25 @@ def bench_bus(questions: int, only: str, seed: int, out: str | None, as_json: bo
     return _tell_bench(servo_bus.in_words(found), servo_bus.to_json(found), folder / "bus.json", as_json)
 
 
+@benchmarks.command("checksums")
+@options.count("--answers", 20_000, "least number of answers of each servo, spoilt in each way")
+@option("--servo", "servo model; repeatable (default: one of each control table)", "MODEL", multiple=True)
+@options.count("--seed", 0, "random seed", lowest=0)
+@options.out
+@options.as_json
+def bench_checksums(answers: int, servo: tuple[str, ...], seed: int, out: str | None, as_json: bool) -> int:
+    """Spoil answers of each servo family; compare the accepted ones with the checksum's odds."""
+    from benchmarks.robot import checksums
+    from sextant.shared.servo.models import MODEL_NAMED
+
+    if wrong := [name for name in servo if name not in MODEL_NAMED]:
+        raise InputError(f"--servo {wrong[0]!r}: one of these models expected: {', '.join(MODEL_NAMED)}")
+    folder = out_folder(out, "bench-checksums")
+    found = checksums.measure(answers, seed, servo, open_progress(as_json).say)
+    _tell_bench(checksums.in_words(found), checksums.to_json(found), folder / "checksums.json", as_json)
+    return SUCCESS if all(one.passed for one in found) else FAILED
+
+
 @benchmarks.command("start")
 @options.count("--rounds", 20, "number of starts")
 @options.out

@@ -40,7 +40,7 @@ _OF_BENCHMARKS = (
     (
         "robot",
         "servos and faults of the robot",
-        ("servos", "bus", "cycle", "calibration", "naming", "slow-core", "start", "faults"),
+        ("servos", "bus", "checksums", "cycle", "calibration", "naming", "slow-core", "start", "faults"),
     ),
     ("system", "radio, load and resources", ("fleet", "link", "page", "recording", "soak", "size")),
 )

@@ -1,0 +1,50 @@
+"""The bench of checksums: no family accepts more wrong values than its checksum explains."""
+
+import json
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from benchmarks import cli
+from benchmarks.robot import checksums
+from sextant.shared.servo.models import MODEL_NAMED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", checksums.MODEL_NAMES)
+def test_accepted_wrong_values_keep_the_odds_of_the_checksum(name: str) -> None:
+    found = checksums.measure(1500, 1, (name,))
+    assert [one.way for one in found] == list(checksums.WAYS)
+    for one in found:
+        assert one.answers >= 1500
+        assert 0.2 < one.spoilt / one.answers < 0.3
+        assert one.passed, one
+        if one.expected is None:
+            continue
+        assert one.wrong_positions <= one.intact
+        assert one.wrong_errors == 0
+
+
+@pytest.mark.parametrize("name", checksums.MODEL_NAMES)
+def test_whole_packet_with_other_values_is_found_in_noise(name: str) -> None:
+    protocol, rng = MODEL_NAMED[name].protocol, Random(3)
+    answer, other = (protocol.status(7, 0, bytes((k, 3, 9, 12, 40))) for k in (1, 2))
+    assert not checksums.contains_other(protocol, 7, answer, answer)
+    assert checksums.contains_other(protocol, 7, answer, rng.randbytes(5) + other + rng.randbytes(4))
+    assert not checksums.contains_other(protocol, 7, answer, protocol.status(8, 0, bytes((2, 3, 9, 12, 40))))
+
+
+def test_checksums_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["checksums", "--answers", "100", "--servo", "XL430-W250", "--out", str(tmp_path)]
+    assert cli.main(words) == 0
+    assert "\n| servo | spoilt |" in capsys.readouterr().out
+    assert cli.main([*words, "--json"]) == 0
+    table = json.loads((tmp_path / "checksums.json").read_text())
+    assert table == json.loads(capsys.readouterr().out)
+    assert [row["way"] for row in table] == list(checksums.WAYS)
+
+
+def test_unknown_servo_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["checksums", "--servo", "AX-13"]) == 2
+    assert "one of these models expected: AX-12A" in capsys.readouterr().err
