@@ -1,5 +1,6 @@
 """Reader of MJCF as a robot description; MuJoCo parses and compiles it without its meshes."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sextant.shared.robot.description.robot_description import (
     Shape,
 )
 
+_LOG = logging.getLogger(__name__)
 _LEAST_MASS, _LEAST_INERTIA = 1e-9, 1e-12  # [kg], [kg m^2] of bodies that have meshes only
 _SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
@@ -30,6 +32,7 @@ def read_mjcf(path: Path) -> RobotDescription:
     Raises:
         DescriptionError: The file is not MJCF, or has no robot.
     """
+    mujoco.set_mju_user_warning(_LOG.debug)  # otherwise MuJoCo writes MUJOCO_LOG.TXT to the working folder
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         _drop_meshes(spec)
@@ -39,6 +42,8 @@ def read_mjcf(path: Path) -> RobotDescription:
     except (ValueError, OSError) as error:  # also for names that are not UTF-8
         words = " ".join(str(error).split())
         raise DescriptionError(f"MJCF expected: {words[:300]}") from None
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 def _drop_meshes(spec: Any) -> None:

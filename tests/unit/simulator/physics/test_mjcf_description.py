@@ -97,3 +97,11 @@ def test_names_that_are_not_utf8_are_an_error(tmp_path: Path) -> None:
     path.write_bytes(HEXAPOD.encode().replace(b"lf knee", b"lf \xff"))
     with pytest.raises(DescriptionError, match="MJCF expected"):
         read_mjcf(path)
+
+
+def test_warnings_of_mujoco_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("model.xml").write_text(HEXAPOD.replace('pos="0.07 0 0"', 'pos="nan 0 0"'), encoding="utf-8")
+    with pytest.raises(DescriptionError):
+        import_profile(read_mjcf(Path("model.xml")))
+    assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]
