@@ -31,6 +31,7 @@ _MX_GOAL = replace(dynamixel.GOAL_POSITION, max=4095, default=2048)
 _MX_P = setting("p gain", 28, 1, 32, 0, 254)
 _MX_GAINS = (setting("d gain", 26, 1, 0, 0, 254), setting("i gain", 27, 1, 0, 0, 254), _MX_P)
 _MX_CHANGED = {dynamixel.CW_ANGLE_LIMIT: _MX_LOW, dynamixel.CCW_ANGLE_LIMIT: _MX_HIGH, dynamixel.GOAL_POSITION: _MX_GOAL}
+_MX_DIVIDER = setting("resolution divider", 22, 1, 1, 1, 4, eeprom=True)
 _MX_SPEED = 0.114 * 2.0 * math.pi / 60.0  # [rad/s] per tick
 MX_TABLE = replace(
     dynamixel.TABLE,
@@ -41,7 +42,9 @@ MX_TABLE = replace(
             if register not in dynamixel.TABLE.compliance
         ),
         *_MX_GAINS,
+        _MX_DIVIDER,
     ),
+    eeprom=range(_MX_DIVIDER.address + 1),
     low_limit=_MX_LOW,
     high_limit=_MX_HIGH,
     goal_position=_MX_GOAL,
@@ -58,6 +61,7 @@ def _mx(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoMo
         _ax(name, number, no_load_rpm, baud_rate=34, temperature_limit=80, **overrides),
         table=MX_TABLE,
         units=MX_UNITS,
+        masks=MappingProxyType({_MX_DIVIDER.name: (0xFF, 1)}),
         gain_stiffness=1.0 / (8.0 * 1023.0 * MX_UNITS.tick_rad),
     )
 
@@ -78,13 +82,14 @@ STS3215 = ServoModel(
     feetech.UNITS,
     MappingProxyType(feetech.RATES),
     # The return delay has no function in this servo, so it can tell a servo that is set up from a new one.
-    MappingProxyType({feetech.TABLE.status_return_level.name: 1, feetech.TABLE.return_delay.name: 1}),
+    MappingProxyType({"mode": 0, feetech.TABLE.status_return_level.name: 1, feetech.TABLE.return_delay.name: 1}),
     no_load_rpm=45.0,  # 0.222 s for 60 deg, at 12 V
     overrides=_NONE,
     recovery=Recovery.TORQUE_ENABLE,
     errors=ServoError.INPUT_VOLTAGE | ServoError.OVERHEATING | ServoError.OVERLOAD | ServoError.HARDWARE,
     gain_stiffness=17.8 / 2.94 / 32,  # identified 17.8 N m/rad at a gain of 32 (Open Duck Mini), with 2.94 N m of stall torque
     sync_read=feetech.sync_read,
+    masks=MappingProxyType({"phase": (0x9C, 0x0C)}),  # speed in ticks per second, 0 for the highest; no turns; not reversed
     unlocks=True,
 )
 
@@ -111,9 +116,9 @@ def _x430(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0
     )
 
 
-XL430_W250 = _x430("XL430-W250", 1060, 61.0, position_p_gain=640)
-XC430_W150 = _x430("XC430-W150", 1070, 106.0, temperature_limit=80, max_voltage=160, position_p_gain=460)
-XC430_W240 = _x430("XC430-W240", 1080, 70.0, temperature_limit=80, max_voltage=160, position_p_gain=700)
-XM430_W350 = _x430("XM430-W350", 1020, 57.0, 2.3, temperature_limit=80, max_voltage=160, min_voltage=95)
+XL430_W250 = _x430("XL430-W250", 1060, 61.0, position_p_gain=640, position_d_gain=4000)
+XC430_W150 = _x430("XC430-W150", 1070, 106.0, temperature_limit=80, max_voltage=160, position_p_gain=460, velocity_limit=460)
+XC430_W240 = _x430("XC430-W240", 1080, 70.0, temperature_limit=80, max_voltage=160, position_p_gain=700, velocity_limit=306)
+XM430_W350 = _x430("XM430-W350", 1020, 57.0, 2.3, temperature_limit=80, max_voltage=160, min_voltage=95, velocity_limit=200)
 MODELS = (AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350, STS3215)
 MODEL_NAMED = MappingProxyType({model.name: model for model in MODELS})

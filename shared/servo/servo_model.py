@@ -7,7 +7,7 @@ import math
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, IntFlag, StrEnum, auto
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -402,6 +402,7 @@ class ServoModel:
     gain_stiffness: float = 0.0  # [1/rad] share of the stall torque per position error and unit of the position gain
     eeprom_needs_torque_off: bool = False
     sync_read: SyncRead | None = None  # encodes a read of several servos, where the family has it
+    masks: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # register name -> bits, and their value
     unlocks: bool = False  # whether writing 0 ends the lock; otherwise only a power cycle does
 
     @property
@@ -425,6 +426,17 @@ class ServoModel:
         """Settings by register; the last one differs from that of a new servo, and is written last."""
         named = {register.name: register for register in self.table.registers}
         return {named[name]: value for name, value in self.settings.items()}
+
+    @cached_property
+    def required(self) -> dict[Register, tuple[int, int]]:
+        """Bits by register, and the value that they must have."""
+        named = {register.name: register for register in self.table.registers}
+        return {named[name]: bits for name, bits in self.masks.items()}
+
+    def position(self, value: int) -> int:
+        """Return the position [ticks] in a position register; it is negative beyond the end of some servos."""
+        sign = self.units.position_sign
+        return value if sign is None else signed(value, sign, self.table.present_position.size)
 
     def rate_code(self, rate: int) -> int:
         """Return the value of the baud rate register for a rate [bit/s]."""

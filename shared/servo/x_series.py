@@ -37,6 +37,7 @@ _PWM_LIMIT = setting("pwm limit", 36, 2, MAX_PWM, 0, MAX_PWM, eeprom=True)
 _VELOCITY_LIMIT = setting("velocity limit", 44, 4, 265, 0, 1023, eeprom=True)
 _MAX_POSITION = setting("max position limit", 48, 4, 4095, 0, 4095, eeprom=True)
 _MIN_POSITION = setting("min position limit", 52, 4, 0, 0, 4095, eeprom=True)
+_STARTUP = setting("startup configuration", 60, 1, 0, 0, 3, eeprom=True)  # bit 0: torque on by itself
 _SHUTDOWN = setting("shutdown", 63, 1, 0x34, 0, 0x3D, eeprom=True)
 _TORQUE_ENABLE = setting("torque enable", 64, 1, 0, 0, 1)
 _RETURN_LEVEL = setting("status return level", 68, 1, 2, 0, 2)
@@ -62,10 +63,10 @@ TABLE = ControlTable(
     size=148,
     registers=(
         _MODEL_NUMBER, _FIRMWARE, _ID, _BAUD_RATE, _RETURN_DELAY, _DRIVE_MODE, _OPERATING_MODE, _HOMING_OFFSET,
-        _TEMPERATURE_LIMIT, _MAX_VOLTAGE, _MIN_VOLTAGE, _PWM_LIMIT, _VELOCITY_LIMIT, _MAX_POSITION, _MIN_POSITION, _SHUTDOWN,
-        _TORQUE_ENABLE, _RETURN_LEVEL, _REGISTERED, _HARDWARE_ERROR, _POSITION_D, _POSITION_I, _POSITION_P, _WATCHDOG,
-        _GOAL_PWM, _PROFILE_ACCELERATION, _PROFILE_VELOCITY, _GOAL_POSITION, _MOVING, _LOAD, _VELOCITY, _POSITION, _VOLTAGE,
-        _TEMPERATURE,
+        _TEMPERATURE_LIMIT, _MAX_VOLTAGE, _MIN_VOLTAGE, _PWM_LIMIT, _VELOCITY_LIMIT, _MAX_POSITION, _MIN_POSITION, _STARTUP,
+        _SHUTDOWN, _TORQUE_ENABLE, _RETURN_LEVEL, _REGISTERED, _HARDWARE_ERROR, _POSITION_D, _POSITION_I, _POSITION_P,
+        _WATCHDOG, _GOAL_PWM, _PROFILE_ACCELERATION, _PROFILE_VELOCITY, _GOAL_POSITION, _MOVING, _LOAD, _VELOCITY, _POSITION,
+        _VOLTAGE, _TEMPERATURE,
     ),
     eeprom=range(64),
     ram=range(64, 147),
@@ -107,4 +108,4 @@ RATES = {
     6: 4_000_000,
     7: 4_500_000,
 }  # fmt: skip  # [bit/s]
-SETTINGS = {_OPERATING_MODE.name: 3, _DRIVE_MODE.name: 0, _RETURN_LEVEL.name: 2, _RETURN_DELAY.name: 0}
+SETTINGS = {_OPERATING_MODE.name: 3, _DRIVE_MODE.name: 0, _STARTUP.name: 0, _RETURN_LEVEL.name: 2, _RETURN_DELAY.name: 0}

@@ -92,11 +92,11 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
     units = bus.model.units
     step = round(np.radians(STEP_DEG) / units.tick_rad)  # [ticks]
     with limited_motion(bus, [servo_id]):
-        start = get(bus, servo_id, bus.model.table.present_position)
+        start = bus.model.position(get(bus, servo_id, bus.model.table.present_position))
         sign, up = _way(profile, leg, joint, units.angle(start))
         hold(bus, [servo_id])
         there, load = _go(bus, servo_id, min(max(start + sign * up * step, 0), units.max_position), clock)
-        back, load_back = _go(bus, servo_id, start, clock)
+        back, load_back = _go(bus, servo_id, min(max(start, 0), units.max_position), clock)
     seen = scan_servo(bus, servo_id, listen=False)
     if seen is None or seen.response is not BusResponse.CLEAR:
         raise silent(bus, servo_id, "its state was being read after its motion")
@@ -126,6 +126,7 @@ def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tu
         if state is None:
             raise silent(bus, servo_id, "it was moving")
         position, load_register, moving = block.unpack(state)
+        position = bus.model.position(position)
         load = max(load, abs(signed(load_register, units.load_sign, table.present_load.size)) * units.load)
         took = clock() - began
         if took > _PATIENCE_NS or (took > _WAY_NS and not moving):

@@ -100,14 +100,15 @@ def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
     Goals are sent first, because not every firmware holds its position.
     """
     for i in servo_ids:
-        put(bus, i, bus.model.table.goal_position, get(bus, i, bus.model.table.present_position))
+        position = bus.model.position(get(bus, i, bus.model.table.present_position))
+        put(bus, i, bus.model.table.goal_position, min(max(position, 0), bus.model.units.max_position))
         put(bus, i, bus.model.table.torque_enable, 1)
 
 
 def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
     """Return angles (n,) [rad] of servos at rest, None while one moves."""
     position, units = bus.model.table.present_position, bus.model.units
-    ticks = np.array([[get(bus, i, position) for i in servo_ids] for _ in range(_READS)])
+    ticks = np.array([[bus.model.position(get(bus, i, position)) for i in servo_ids] for _ in range(_READS)])
     if (np.ptp(ticks, axis=0) > round(_STILL_RAD / units.tick_rad)).any():
         return None
     return np.array([units.angle(t) for t in np.median(ticks, axis=0)])

@@ -198,7 +198,13 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
     model, reach, found = profile.servo_model, _reach(profile), []
     for one in seen:
         if one.response is BusResponse.CLEAR and one.number == model.number and not one.is_wheel:
-            words = "; ".join(dict.fromkeys(setting.words for setting in wrong_settings(one, model, reach[one.servo_id])))
+            told = [setting.words for setting in wrong_settings(one, model, reach[one.servo_id])]
+            told += [
+                f"has a {register.name} of {one[register]}, {value} in the profile"
+                for register, value in profile.servo.controller_settings.items()
+                if one[register] != value
+            ]
+            words = "; ".join(dict.fromkeys(told))
             found += [Problem(f"{named(one.servo_id, profile.servo_names)} {words}", _UNLESS_MEANT)] if words else []
     return found
 
@@ -413,11 +419,11 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
         refused = [
             register.name for register, value in wanted.joint_settings.items() if not ensure(bus, target, register, value)
         ]
-    if table.lock and wanted.unlocks and not refused and not ensure(bus, target, table.lock, 1):
-        refused.append(table.lock.name)
     fast = wanted.rate_code(BAUD_RATE)
     if not refused and seen[table.baud_rate] != fast:  # last, because it then no longer answers at this rate
         bus.write_unacknowledged(target, table.baud_rate, fast)
+    if not refused and table.lock and wanted.unlocks and not ensure(line.at(BAUD_RATE), target, table.lock, 1):
+        refused.append(table.lock.name)  # last, because it ends the writing of all others
     back = scan_servo(line.at(BAUD_RATE), target)
     given = None if back is None else Found(BAUD_RATE, back)
     if refused or given is None or not _is_set(given, profile):

@@ -8,6 +8,8 @@ from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.bus_scan import named
 from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servo_interface import Servos
+from sextant.shared.servo.models import MODELS
+from sextant.shared.servo.servo_model import ServoModel
 
 
 def torque_off(bus: Servos) -> dict[int, str]:
@@ -24,11 +26,24 @@ def torque_off(bus: Servos) -> dict[int, str]:
     bus.set_torque(False)
     left, enable = {}, bus.model.table.torque_enable
     for servo_id in bus.servo_ids:
+        if other := _of_other_model(bus, servo_id):
+            if not took(bus, servo_id, other.table.torque_enable, 0) or bus.read(servo_id, other.table.torque_enable):
+                left[servo_id] = f"is {other.name}, not {bus.model.name}, and does not turn its torque off"
+            continue
         if not took(bus, servo_id, enable, 0):
             left[servo_id] = "does not answer, or refuses the order"
         elif bus.read(servo_id, enable):
             left[servo_id] = "reports that its torque is on"
     return left
+
+
+def _of_other_model(bus: Servos, servo_id: int) -> ServoModel | None:
+    """Return the model of a servo whose torque is turned off by another register than that of the robot's servos."""
+    if bus.read(servo_id, bus.model.table.model_number) in (None, bus.model.number):
+        return None
+    alike = (one for one in MODELS if one.protocol.answer_start is bus.model.protocol.answer_start)
+    others = (one for one in alike if one.table.torque_enable != bus.model.table.torque_enable)
+    return next((one for one in others if bus.read(servo_id, one.table.model_number) == one.number), None)
 
 
 @contextmanager

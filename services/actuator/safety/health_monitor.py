@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, WARM_K, RobotProfile
-from sextant.shared.servo.servo_model import ServoError
+from sextant.shared.servo.servo_model import ServoError, error_words
 
 SILENT = 4  # consecutive unanswered requests from which a servo counts as silent
 _QUIET_S = 0.1  # [s] without any reading from which the bus, not one servo, is silent
@@ -174,8 +174,7 @@ class Health:
         Overload, heat and voltage are evaluated separately.
         """
         for index in np.flatnonzero(errors & ~np.uint8(SHUT_DOWN | _MINOR)).tolist():
-            words = (ServoError(int(errors[index])) & ~_MINOR).name or ""
-            return f"{_named(self._profile, [index])} reports {words.lower().replace('_', ' ')}"
+            return f"{_named(self._profile, [index])} reports: {error_words(int(errors[index]) & ~int(_MINOR))}"
         return ""
 
     def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:

@@ -5,7 +5,7 @@ the answers collide, and reads of registers that differ between the two are brok
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from typing import NamedTuple, Protocol, TypeVar
@@ -161,8 +161,8 @@ class ServoScan:
 
     @property
     def is_wheel(self) -> bool:
-        """Whether the servo is in wheel mode; requires a clear response."""
-        return not self[self.expected.table.low_limit] and not self[self.expected.table.high_limit]
+        """Whether the servo is in wheel or multi-turn mode; requires a clear response."""
+        return self[self.expected.table.low_limit] == self[self.expected.table.high_limit]
 
 
 def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | None:
@@ -192,7 +192,10 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
     if eeprom is None or ram is None:  # same models answer alike to the model number, but their measurements differ
         return ServoScan(servo_id, BusResponse.DOUBLED if bus.garbled > garbled else BusResponse.FADING, expected)
     contents = bytes(table.eeprom.start) + eeprom + bytes(table.ram.start - table.eeprom.stop) + ram
-    return ServoScan(servo_id, BusResponse.CLEAR, expected, contents, error)
+    found = ServoScan(servo_id, BusResponse.CLEAR, expected, contents, error)
+    if table.hardware_error is not None:  # whose errors an answer does not carry
+        return replace(found, error=error | expected.hardware_errors(found[table.hardware_error]))
+    return found
 
 
 def _crowded(bus: Bus, servo_id: int) -> bool:
@@ -339,8 +342,14 @@ def _wrong(seen: ServoScan, model: ServoModel) -> Problem | None:
         which = f"{found.number} ({found.name})" if found else f"{seen.number} (unknown)"
         words = f"is model {which}, expected {model.number} ({model.name})"
         return Problem(words, "replace it by the right model, or choose the profile of a robot with this model")
+    for register, (mask, value) in model.required.items():
+        if seen[register] & mask != value:
+            words = f"has a {register.name} of {seen[register]}, with which positions or speeds mean something else"
+            return Problem(words, f"set the {register.name} with the tool of its maker")
     if seen.is_wheel:
-        return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: this sets joint mode")
+        return Problem(
+            f"is in wheel mode (both angle limits are {seen[model.table.low_limit]})", f"{SET_ID}: this sets joint mode"
+        )
     return None
 
 

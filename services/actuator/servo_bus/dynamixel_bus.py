@@ -17,6 +17,7 @@ from sextant.services.actuator.servo_bus.packet_loss import LossRate
 from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, state_decoder
 from sextant.services.actuator.servo_bus.serial_port import (
     BAUD_RATE,
+    BYTE_NS,
     LOST,
     REPLY_TIMEOUT_NS,
     BusDisconnectedError,
@@ -55,9 +56,10 @@ _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _MAX_REQUESTS = 3  # requests to one servo per turn, if its answers are broken or doubtful
 _LOSS_WINDOW_NS = 200_000_000  # [ns]
 _NOISY_NS = 1_000_000_000  # [ns] after a lost request for which the bus counts as noisy
-_MAX_PACKET_BYTES = 256  # [bytes] largest length that a packet header can announce
+_MAX_PACKET_BYTES = 256  # [bytes] largest length that a packet header of Protocol 1.0 can announce
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
-_BYTE_NS = 10_000  # [ns] of a byte at the usual rate
+_ALERT_NS = 100_000_000  # [ns] after which the hardware errors of a servo that alerts are read again
+_SINGLY_NS = 1_000_000_000  # [ns] for which servos are read one by one after a read of several broke off
 _NS_PER_S = 1e9
 
 
@@ -129,12 +131,14 @@ class ServoBus:
 
         self._requests = [self._protocol.read(i, self._table.state.address, self._table.state.size) for i in servo_ids]
         self._next = 0
+        self._singly_until_ns = 0  # [ns] time up to which no request reads several servos
         self._again: list[int] = []  # indices to be read first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._asked_ns = [0] * n  # when it was last requested
         self._told_ns = 0  # when goals were last sent
-        self._hardware_errors: dict[int, ServoError] = {}  # index -> errors of a servo that alerts
+        self._alerts: dict[int, ServoError] = {}  # index of a servo that alerts -> its hardware errors, once read
+        self._alerts_read_ns: dict[int, int] = {}  # index -> [ns] when they were read
         self._backoff = [1] * n  # read every this many turns
         self._skips = [0] * n  # turns left to skip
 
@@ -338,7 +342,7 @@ class ServoBus:
         Raises:
             BusDisconnectedError: The port is gone.
         """
-        if self.model.sync_read is not None:
+        if self.model.sync_read is not None and self._clock() >= self._singly_until_ns:
             return self._poll_together(self.model.sync_read, budget_ns, first)
         readings: list[ServoReading] = []
         start = self._clock()
@@ -367,6 +371,8 @@ class ServoBus:
                 self._again.append(i)
             start = self._clock()
         self._again += ahead  # not read for lack of time
+        if self._alerts:
+            self._read_alert(end)
         return readings
 
     @property
@@ -382,12 +388,11 @@ class ServoBus:
 
     # ----------------------------------------------------------------------------------------------- below the words
 
-    def _look(self, index: int, end_ns: int) -> ServoReading | None:
-        """Read one servo until its answer is plausible.
+    def _look(self, index: int, end_ns: int, *, heard: bool = False) -> ServoReading | None:
+        """Read one servo until its answer is plausible; `heard` tells whether it has just answered.
 
-        A request begins by `end_ns` and ends within a timeout.
+        A request begins by `end_ns` and ends within a timeout. A servo whose position is none that it has counts as silent.
         """
-        heard = False
         for _ in range(_MAX_REQUESTS):
             start = self._clock()
             if start > end_ns:
@@ -404,7 +409,7 @@ class ServoBus:
                 return found
             if done - start >= self._line.reply_timeout_ns:  # another request would cost another timeout
                 break
-        if not heard:
+        if not heard or self._validator.is_impossible(index):
             self._leave_alone(index)
         return None
 
@@ -412,8 +417,8 @@ class ServoBus:
         """Read as many servos as fit a time budget with one request, then those again whose answers are missing or doubtful."""
         start = self._clock()
         end = start + budget_ns
-        answer_ns = (self._protocol.OVERHEAD + self._table.state.size) * _BYTE_NS
-        most = int((budget_ns - _TYPICAL_NS) // answer_ns) + 1 if budget_ns > 0 else 0
+        answer_ns = (self._protocol.OVERHEAD + self._table.state.size) * BYTE_NS
+        most = max(int((budget_ns - _TYPICAL_NS) // answer_ns) + 1, 1) if budget_ns > 0 else 0
         turn = (*first, *self._again, *((self._next + k) % len(self) for k in range(len(self))))
         asked = [i for i in dict.fromkeys(turn) if not self._is_skipped(i)][:most]
         if not asked:
@@ -422,13 +427,17 @@ class ServoBus:
         ids, state = [self.servo_ids[i] for i in asked], self._table.state
         answers = self._line.exchange_together(sync_read(state.address, state.size, ids), ids, state.size, start)
         done = self._clock()
+        if ids[-1] not in answers:  # whether those behind a silent servo answer is not published
+            self._singly_until_ns = done + _SINGLY_NS
         taken = {i: self._taken(i, start, answers.get(self.servo_ids[i]), done) for i in asked}
         self._again = []
         for i in asked:
             self._asked_ns[i] = start
-            taken[i] = taken[i] or self._look(i, end)
+            taken[i] = taken[i] or self._look(i, end, heard=self.servo_ids[i] in answers)
             if taken[i] is None and self.missed[i] <= _AT_ONCE:
                 self._again.append(i)
+        if self._alerts:
+            self._read_alert(end)
         return [found for found in taken.values() if found is not None]
 
     def _is_skipped(self, index: int) -> bool:
@@ -467,9 +476,9 @@ class ServoBus:
         """Return the reading in an answer, or None if it is not plausible yet."""
         error = self._protocol.ERRORS[answer.code]
         if answer.code & self._protocol.ALERT:
-            error |= self._read_hardware_errors(index, now_ns)
-        elif self._hardware_errors:
-            self._hardware_errors.pop(index, None)
+            error |= self._alerts.setdefault(index, ServoError.NONE)
+        elif self._alerts:
+            self._alerts.pop(index, None)
         state = self._decode(stamp_ns, self._table.state.unpack(answer.parameters), int(error))
         refused = self._validator.refusals
         believed = self._validator.accepts(index, state, self._is_noisy(index, now_ns))
@@ -481,16 +490,22 @@ class ServoBus:
         self.errors[index] = state.error
         return reading(index, answer.servo_id, self._told_ns, state, error, self._units)
 
-    def _read_hardware_errors(self, index: int, now_ns: int) -> ServoError:
-        """Return the errors behind the alert of a servo, read once for as long as it lasts."""
+    def _read_alert(self, end_ns: int) -> None:
+        """Read the hardware errors of one servo that alerts, that whose errors were read longest ago.
+
+        The errors of an alert add up: the servo raises one alert for all of them.
+        """
+        start = self._clock()
         register = self._table.hardware_error
-        if index not in self._hardware_errors and register is not None:
-            request = self._protocol.read(self.servo_ids[index], register.address, register.size)
-            end_ns = now_ns + self._line.reply_timeout_ns
-            answer = self._line.exchange(request, self.servo_ids[index], register.size, end_ns, now_ns)
-            if answer is not None and answer.parameters:
-                self._hardware_errors[index] = self.model.hardware_errors(int.from_bytes(answer.parameters, "little"))
-        return self._hardware_errors.get(index, ServoError.HARDWARE)
+        due = [i for i in self._alerts if start - self._alerts_read_ns.get(i, -_ALERT_NS) >= _ALERT_NS]
+        if register is None or not due or start > end_ns:
+            return
+        index = min(due, key=lambda i: self._alerts_read_ns.get(i, 0))
+        self._alerts_read_ns[index] = start
+        servo_id = self.servo_ids[index]
+        answer = self._line.exchange(self._protocol.read(servo_id, register.address, register.size), servo_id, 1, end_ns, start)
+        if answer is not None and answer.parameters:
+            self._alerts[index] |= self.model.hardware_errors(answer.parameters[0])
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer with `size` parameters, or None.
@@ -503,7 +518,7 @@ class ServoBus:
             return None
         index = self._index.get(servo_id)
         if index is not None:
-            self.errors[index] = self._protocol.ERRORS[answer.code]
+            self.errors[index] = self._protocol.ERRORS[answer.code] | self._alerts.get(index, ServoError.NONE)
         return None if self._refuses(answer) else answer
 
     def _refuses(self, answer: Packet) -> bool:

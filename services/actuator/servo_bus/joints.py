@@ -21,6 +21,7 @@ from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel, s
 _STARTUP_TIMEOUT_NS = 3_000_000_000  # [ns] for the first answers: a simulation starts late, and a USB hub wakes up slowly
 _ADOPT_WITHIN_RAD = np.radians(10.0)  # [rad] between a joint and the goal in its servo, up to which that goal is kept
 _REOPEN_PERIOD_NS = 200_000_000  # [ns] between two attempts to reopen a lost bus
+_WITHOUT_TORQUE = np.uint8(SHUT_DOWN | ServoError.HARDWARE)  # errors with which a servo may have turned its torque off
 _MAX_REQUESTS = 3  # maximum number of requests for the state of one servo on a reopened bus
 _NO_READING_S = 0.05  # [s] without a reading of any servo, from which goals may not arrive
 _BUS_LOST_S = 0.1  # [s] without one, from which the state of the robot is unknown
@@ -135,7 +136,7 @@ class Joints:
         """Return joints (6, 3) and legs (6,) without torque; both are read several times in a cycle, and seldom change."""
         flags = self.torque.tobytes() + self._bus.errors.tobytes()
         if flags != self._torque_flags:
-            joints = np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
+            joints = np.asarray(~self.torque | (self._bus.errors & _WITHOUT_TORQUE > 0)).reshape(6, 3)
             legs = np.asarray(joints.any(axis=1))
             joints.flags.writeable = legs.flags.writeable = False
             self._torque_flags, self._torque_disabled = flags, (joints, legs)
@@ -221,7 +222,11 @@ class Joints:
             self._call_bus(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
         self._torque_loss.doubt_all()
-        for index in np.flatnonzero(weak).tolist():
+        down = np.zeros(18, dtype=np.bool_)
+        if self._profile.servo_model.recovery is Recovery.REBOOT:  # a servo that has cooled; it gets torque by the next order
+            cool = ~(self.temperature >= self._profile.servo.temperature_limit)
+            down = (self._bus.errors & np.uint8(SHUT_DOWN) > 0) & cool
+        for index in np.flatnonzero(weak | down).tolist():
             self._call_bus(partial(self._restore_torque_limit, index))
 
     def restore_torque(self, index: int) -> None:
@@ -229,6 +234,8 @@ class Joints:
 
         A joint beyond its limit returns to the limit slowly.
         """
+        if self._profile.servo_model.recovery is Recovery.REBOOT:  # only an operator's order reboots a servo
+            return
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
         goals[leg, joint] = self._clipped_to_limits(self.q)[leg, joint]
@@ -352,7 +359,8 @@ class Joints:
         self.torque = enabled.astype(np.bool_) & (not self._off_ordered)  # a servo that has missed torque off receives it again
         self._max_torque = max_torque
         self.strength = np.minimum(limits / np.maximum(max_torque, 1), 1.0)
-        self.q, goal_angles = self._angles(ticks), self._angles(goals)
+        position = self._profile.servo_model.position
+        self.q, goal_angles = self._angles(map(position, ticks.tolist())), self._angles(goals)
         self.load = self._torques(loads.tolist())  # earlier readings may be those of a moving robot
         self.goals = np.where(np.abs(goal_angles - self.q) < _ADOPT_WITHIN_RAD, goal_angles, self.q)
 

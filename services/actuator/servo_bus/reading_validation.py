@@ -13,6 +13,7 @@ from typing import NamedTuple
 from sextant.shared.servo.servo_model import ServoModel, number_decoder
 
 _NS_PER_S = 1e9
+_UNSIGNED = 128  # values below need no decoding in any coding; 18 servos are read in every cycle
 _MAX_SPEED_RATIO = 1.3  # [1] maximum speed of a servo whose leg is pushed, as a multiple of its no-load speed
 _LEAP_RAD = math.radians(2.93)  # [rad] outside the expected range, beyond which a position is doubted
 _SAME_POSITION_RAD = math.radians(1.47)  # [rad] maximum difference of two readings of one position ...
@@ -62,14 +63,12 @@ def state_decoder(model: ServoModel) -> Callable[[int, tuple[int, ...], int], St
     load_of = number_decoder(units.load_sign, table.present_load.size)
     position_of = number_decoder(units.position_sign, table.present_position.size)
     signed_position = units.position_sign is not None
-    # Smaller values need no decoding; this loop reads 18 servos in every cycle.
-    small_speed, small_load = 128, 128
 
     def decode(stamp_ns: int, registers: tuple[int, ...], error: int) -> State:
         position, speed, load, voltage, temperature = registers
         position = position_of(position) if signed_position else position
-        speed = speed if speed < small_speed else speed_of(speed)
-        load = load if load < small_load else load_of(load)
+        speed = speed if speed < _UNSIGNED else speed_of(speed)
+        load = load if load < _UNSIGNED else load_of(load)
         return State(stamp_ns, position, speed, load, voltage, temperature, error)
 
     return decode
@@ -84,6 +83,7 @@ class ReadingValidator:
         self.refusals = 0  # number of them
         self._accepted: list[State | None] = [None] * n  # last accepted reading of each servo
         self._doubted: list[tuple[State, Implausibility] | None] = [None] * n  # its newest reading if that is doubted, and why
+        self._impossible = [False] * n  # whether the newest reading of each servo has values that no servo has
         self._voltage: int | None = None  # [0.1 V] last accepted one of any servo, because they share one supply
         self._goals: deque[list[int]] = deque(maxlen=_RECENT_GOALS)
         self._lowest: list[int] = []  # [ticks] of the recent goals of each servo
@@ -121,6 +121,7 @@ class ReadingValidator:
             noisy: Answers were recently broken. The checksum then misses about 1 of 256 errors.
         """
         doubt = self._find_implausibility(index, state, noisy)
+        self._impossible[index] = doubt is Implausibility.RANGE
         if doubt is Implausibility.RANGE:  # a second reading like this would be as wrong
             self._refuse(doubt)
             return False
@@ -133,6 +134,10 @@ class ReadingValidator:
         if doubt is None:
             self._accept(index, state)
         return doubt is None
+
+    def is_impossible(self, index: int) -> bool:
+        """Return whether the newest reading of a servo has values that no servo has."""
+        return self._impossible[index]
 
     def _refuse(self, why: Implausibility) -> None:
         self.refused[why] += 1

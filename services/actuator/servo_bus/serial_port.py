@@ -36,7 +36,7 @@ _UNASKED_BYTES, _UNASKED_READS = 64, 2000  # limits of bytes and reads from it
 _READ_ALL_BYTES = 4096  # [bytes] to read at once: more than can arrive within a timeout
 _SIMULATOR_S = 1.0  # [s] of real time after which the simulator does not answer any more
 _UNDERWAY_NS = 2_000_000  # [ns] of a USB transaction and the return delays, after which all answers have arrived
-_BYTE_NS = 10_000  # [ns] of a byte at the usual rate
+BYTE_NS = 10_000  # [ns] of a byte at the usual rate
 _NS_PER_S = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
 _LAST_PORT = 65535
@@ -251,7 +251,7 @@ class SerialLine:
             self._parser.flush()
         self.send(request, now_ns)
         whole, found = self._protocol.OVERHEAD + size, dict[int, Packet]()
-        deadline = now_ns + len(servo_ids) * whole * _BYTE_NS + _UNDERWAY_NS
+        deadline = now_ns + len(servo_ids) * whole * BYTE_NS + _UNDERWAY_NS
         while len(found) < len(servo_ids):
             data = self._receive(max((len(servo_ids) - len(found)) * whole - self._parser.pending, 1))
             if data is None:

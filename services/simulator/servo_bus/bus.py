@@ -84,6 +84,7 @@ class ServoBusEmulator(AnswersOnly):
             echo: Whether the adapter echoes all sent bytes, as single-wire adapters do.
         """
         self.counts = BusCounts()
+        self.breaks_off = False  # whether the servos behind a silent one do not answer a sync read: no manual tells
         self.overhear: Callable[[bytes, int], object] = _nobody  # receives the arriving bytes and their time [ns]
         self._bank = bank
         self._timing = timing or BusTiming()
@@ -255,6 +256,8 @@ class ServoBusEmulator(AnswersOnly):
             return []
         read = (request.address, request.size)
         rows = [self._listeners.get(servo_id, []) for servo_id, _ in request.rows]
+        if self.breaks_off:
+            rows = list(itertools.takewhile(len, rows))
         if request.kind is Kind.SYNC_READ:
             return self._answer([row for those in rows for row in those], time_ns, ServoError.NONE, read=read)
         heard = list(itertools.takewhile(len, rows))

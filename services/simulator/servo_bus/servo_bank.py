@@ -295,6 +295,7 @@ class ServoBank:
         table, units = model.table, model.units
         self.table, self._units = table, units
         self.tables: NDArray[np.uint8] = np.frombuffer(self._bytes, dtype=np.uint8).reshape(n, table.size)
+        self._stored: dict[int, bytearray] = {}  # row -> EEPROM after a loss of power, where it differs from the table
         self._columns = {register: self._view(register) for register in table.registers}
         self.column(table.id)[:] = servo_ids
         self._torque_limits = self.column(table.torque_limit)
@@ -376,6 +377,7 @@ class ServoBank:
         Limit ends a shutdown, which the next step repeats if its condition is still met.
         """
         end, goals = address + len(data), self.table.goals
+        self._keep_eeprom(row, address, data)
         start = row * self.table.size
         self._goals_changed = True
         if address >= goals.address and end <= goals.address + goals.size:  # the usual case
@@ -392,6 +394,16 @@ class ServoBank:
         if self._ends_shutdown(row, address, end):
             self._latched_errors[row], self._tripped_share[row] = 0, 1.0
         self._settings_changed = True
+
+    def _keep_eeprom(self, row: int, address: int, data: bytes) -> None:
+        """Before a write: keep what the EEPROM of a locked servo will be after a loss of power."""
+        lock, base, end = self.table.lock, row * self.table.size, self.table.eeprom.stop
+        if not self.model.unlocks or lock is None or address >= end:
+            return
+        if self.column(lock)[row]:  # the write acts, but is not stored
+            self._stored.setdefault(row, bytearray(self._bytes[base : base + end]))
+        elif row in self._stored:
+            self._stored[row][address : address + len(data)] = data
 
     def _ends_shutdown(self, row: int, address: int, end: int) -> bool:
         """Return whether a write to these addresses, just done, ends the shutdown of a servo."""
@@ -422,6 +434,8 @@ class ServoBank:
         Torque is off and no error is latched.
         """
         start = self.table.torque_enable.address
+        for byte, value in enumerate(self._stored.pop(row, b"")):
+            self._bytes[row * self.table.size + byte] = value
         self.tables[row, start:] = np.frombuffer(self.model.factory_table(), dtype=np.uint8)[start:]
         self._torque_limits[row] = self.column(self.table.max_torque)[row]
         self._latched_errors[row], self._tripped_share[row] = 0, 1.0

@@ -15,7 +15,7 @@ from sextant.services.actuator.servo_bus.triage import usual_rates
 from sextant.shared.robot.profile import LEGS, Calibration
 from sextant.shared.servo.servo_model import Register
 from tests.support.builder import Answer, Builder
-from tests.support.desk import Desk
+from tests.support.desk import PHANTOMX, Desk
 from tests.support.families import FAMILIES, robot_with
 
 OTHERS = [name for name in FAMILIES if name != "AX-12A"]  # for which the other tests of this folder are
@@ -68,6 +68,43 @@ def test_eeprom_of_feetech_servo_is_unlocked_for_its_id_and_locked_again() -> No
     order = [address for address, data in written if address in (table.lock.address, table.id.address)]
     assert order == [table.lock.address, table.id.address, table.lock.address]
     assert bank.column(table.lock)[0] == 1
+
+
+def test_settings_of_feetech_servo_outlast_its_power() -> None:
+    desk = Desk(robot_with("STS3215"), fresh=True)
+    bank = desk.bench._servos
+    bank.column(bank.table.baud_rate)[:] = 6  # 57600, as another program may have left it
+    desk.bench.plug(desk.bench.unplugged[:1])
+    set_ids.set_ids(line(desk), desk.profile, Builder(["left front femur", "q"]))
+    desk.settle()
+    row = bank.column(bank.table.id).tolist().index(2)
+    bank.power_up(row)
+    assert bank.column(bank.table.baud_rate)[row] == 0
+    assert bank.column(bank.table.id)[row] == 2
+    bank.write(row, bank.table.id.address, b"\x09")  # locked: acts, and is lost without power
+    assert bank.column(bank.table.id)[row] == 9
+    bank.power_up(row)
+    assert bank.column(bank.table.id)[row] == 2
+
+
+def test_torque_off_reaches_servos_of_another_table_with_the_same_packets() -> None:
+    desk = Desk(robot_with("STS3215"))
+    bank = desk.bench._servos
+    bank.column(bank.table.torque_enable)[:] = 1
+    names = PHANTOMX.servo_names
+    bus = ServoBus(desk.open(), list(names), desk.clock, names=names, model=PHANTOMX.servo_model)
+    assert torque_off(bus) == {}
+    desk.settle()
+    assert not bank.column(bank.table.torque_enable).any()
+
+
+def test_gain_that_differs_from_the_profile_is_named() -> None:
+    desk = Desk(robot_with("XL430-W250"))
+    bank = desk.bench._servos
+    assert bank.table.position_gain is not None
+    bank.column(bank.table.position_gain)[4] = 400
+    (problem,) = set_ids.verdict(set_ids.scan(line(desk)), desk.profile)
+    assert "has a position p gain of 400, 640 in the profile" in problem.words
 
 
 @pytest.mark.parametrize("name", OTHERS)

@@ -158,8 +158,10 @@ def test_lost_torque_is_a_fault_only_if_torque_is_ordered_on(servo: int) -> None
 
 def test_servo_errors_are_named_except_input_voltage() -> None:
     odd = one(5, errors=int(ServoError.ANGLE_LIMIT | ServoError.INPUT_VOLTAGE))
-    assert Patient().cycle(odd).broken == f"{name(5)} reports angle limit"
+    assert Patient().cycle(odd).broken == f"{name(5)} reports: goal outside the angle limits"
     assert Patient().cycle(one(5, errors=int(ServoError.INPUT_VOLTAGE))) == Verdict()
+    broken = Patient().cycle(one(5, errors=int(ServoError.HARDWARE))).broken
+    assert broken == f"{name(5)} reports: fault of its sensor or electronics"
 
 
 # ------------------------------------------------------------------------------------------------------------ overload

@@ -1,5 +1,6 @@
 """The same driver with servos of every family, against their byte-level emulators."""
 
+from dataclasses import replace
 from itertools import permutations
 from random import Random
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.servo_bus import shutdown
-from sextant.services.actuator.servo_bus.bus_scan import prepare, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import error_of, prepare, scan_servo
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel
@@ -250,3 +252,118 @@ def test_silent_servo_is_asked_again_alone_and_then_seldom(name: str) -> None:
         readings = bench.bus.poll(9_000_000)
     assert len(readings) == 6
     assert not bench.bus.missed.any()
+
+
+def test_later_errors_of_an_alert_are_found_and_other_reads_keep_them() -> None:
+    bench = Bench("XM430-W350", 2)
+    bench.bus.set_torque(True)
+    bench.servos.charge = 0.0
+    bench.servos.supply = replace(bench.servos.supply, empty_voltage=9.0)  # below the servo's minimum: an alert, no shutdown
+    for _ in range(20):
+        bench.pass_time(0.02)
+        bench.bus.poll(_BUDGET_NS)
+    assert bench.bus.errors.tolist() == [ServoError.INPUT_VOLTAGE] * 2
+    bench.servos.temperature[0] = 120.0
+    for _ in range(20):
+        bench.pass_time(0.02)
+        bench.bus.poll(_BUDGET_NS)
+    assert bench.bus.errors.tolist() == [ServoError.INPUT_VOLTAGE | ServoError.OVERHEATING, ServoError.INPUT_VOLTAGE]
+    assert bench.bus.read(1, bench.model.table.torque_enable) == 0
+    assert bench.bus.errors[0] & ServoError.OVERHEATING
+
+
+def test_alerts_of_all_servos_do_not_overrun_the_cycle() -> None:
+    bench = Bench("XL430-W250", 18)
+    bench.bus.setup()
+    bench.bus.poll(9_000_000)
+    bench.servos.charge = 0.0
+    bench.servos.supply = replace(bench.servos.supply, empty_voltage=5.0)
+    for _ in range(40):
+        bench.pass_time(0.02)
+        start = bench.port.now_ns()
+        assert len(bench.bus.poll(9_000_000)) == 18 or not bench.bus.errors.all()
+        assert bench.port.now_ns() - start < 11_000_000
+    assert (bench.bus.errors == int(ServoError.INPUT_VOLTAGE)).all()
+
+
+def test_scan_reports_the_hardware_error_of_an_x430() -> None:
+    bench = Bench("XL430-W250", 1)
+    bench.bus.set_torque(True)
+    bench.servos.temperature[0] = 120.0
+    bench.pass_time(0.02)
+    bench.servos.temperature[0] = 25.0
+    bench.pass_time(0.02)
+    found = scan_servo(bench.bus, 1)
+    assert found is not None
+    assert error_of(found) == "overheating"
+
+
+def test_position_beyond_the_range_counts_as_silence() -> None:
+    bench = Bench("XL430-W250", 3)
+    bench.bus.setup()
+    bench.bus.poll(9_000_000)
+    measured = bench.servos._write_measured
+
+    def beyond(after_ns: int) -> None:
+        measured(after_ns)
+        bench.servos.column(bench.model.table.present_position)[1] = 2**32 - 10  # -10
+
+    bench.servos._write_measured = beyond  # type: ignore[method-assign]
+    for _ in range(10):
+        bench.pass_time(0.02)
+        bench.bus.poll(9_000_000)
+    assert bench.bus.missed[1] >= 4
+    assert bench.bus.missed[[0, 2]].tolist() == [0, 0]
+    assert bench.model.position(2**32 - 10) == -10
+
+
+@pytest.mark.parametrize("name", SYNC)
+def test_servos_behind_a_silent_one_are_read_singly_if_they_do_not_answer(name: str) -> None:
+    bench = Bench(name, 6)
+    bench.emulator.breaks_off = True
+    bench.bus.setup()
+    bench.pass_time(0.02)
+    assert len(bench.bus.poll(9_000_000)) == 6
+    bench.emulator.cut_off(frozenset((0,)))
+    heard = set()
+    for _ in range(30):
+        bench.pass_time(0.02)
+        heard |= {one.servo_id for one in bench.bus.poll(9_000_000)}
+    assert heard == {2, 3, 4, 5, 6}
+    assert not bench.bus.missed[1:].any()
+
+
+def test_small_read_budget_reads_one_servo() -> None:
+    bench = Bench("STS3215", 18)
+    assert len(bench.bus.poll(500_000)) == 1
+    assert bench.bus.poll(0) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "register", "value", "words"),
+    [
+        ("STS3215", "phase", 8, "phase of 8"),
+        ("STS3215", "phase", 0x8C, "phase of 140"),
+        ("MX-28", "resolution divider", 2, "resolution divider of 2"),
+        ("MX-28", "cw angle limit", 4095, "wheel mode"),
+    ],
+)
+def test_servo_whose_positions_mean_something_else_is_refused(name: str, register: str, value: int, words: str) -> None:
+    bench = Bench(name, 2)
+    bench.bus.setup()
+    (found,) = (one for one in bench.model.table.registers if one.name == register)
+    bench.servos.column(found)[1] = value
+    with pytest.raises(BusSetupError, match=words):
+        bench.bus.setup()
+
+
+@pytest.mark.parametrize("name", ["XL430-W250", "STS3215"])
+def test_settings_of_a_joint_are_made_at_setup(name: str) -> None:
+    bench = Bench(name, 1)
+    for register in bench.model.joint_settings:
+        bench.servos.column(register)[:] = register.max
+    bench.servos.column(bench.model.table.status_return_level)[:] = bench.model.table.status_return_level.max
+    bench.bus.setup()
+    bench.pass_time(0.02)
+    for register, value in bench.model.joint_settings.items():
+        assert bench.servos.column(register)[0] == value, register.name
