@@ -20,7 +20,7 @@ class ActuatorParams(Params):
     load_s: float = ranged(0.10, 0.005, 0.25)  # [s] at the end of a step in which landed legs are loaded
     brake_s: float = ranged(0.10, 0.01, 2.0)  # [s] time constant in which the body stops when no plan follows
     stand_s: float = ranged(2.5, 0.5, 30.0)  # [s] for standing up
-    correct_horns: bool = True  # whether horns that a walk has shown to be off are corrected, by up to 4 deg
+    correct_horns: bool = False  # whether horns that a walk has shown to be off are corrected, by up to 4 deg
     touchdown: TouchdownParams = field(default_factory=TouchdownParams)
     contact: ContactParams = field(default_factory=ContactParams)
     posture: PostureParams = field(default_factory=PostureParams)

@@ -1,4 +1,4 @@
-"""Horns that differ from the profile are estimated and corrected while the robot walks; those of the profile stay."""
+"""Horns that differ from the profile are corrected while the robot walks, if a parameter says so; those of the profile stay."""
 
 from dataclasses import replace
 
@@ -9,10 +9,12 @@ from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.shared.scenario.mismatch import Mismatch
 from sextant.shared.scenario.scenario import load_scenario
 
+CORRECTS = {"actuator": {"correct_horns": True}}
+
 
 @pytest.mark.slow
 def test_horns_that_are_up_to_4_deg_off_are_corrected_towards_the_true_ones() -> None:
-    scenario = replace(load_scenario("steps"), mismatch=Mismatch(horn_deg=4.0))
+    scenario = replace(load_scenario("steps"), mismatch=Mismatch(horn_deg=4.0), params=CORRECTS)
     true = scenario.deviation(1000).horns_deg.ravel()
     report = run_lockstep(scenario, 1000)
     assert report.success
@@ -24,7 +26,7 @@ def test_horns_that_are_up_to_4_deg_off_are_corrected_towards_the_true_ones() ->
 
 @pytest.mark.slow
 def test_horns_of_a_robot_that_matches_its_profile_stay() -> None:
-    report = run_lockstep(load_scenario("steps"), 1000)
+    report = run_lockstep(replace(load_scenario("steps"), params=CORRECTS), 1000)
     assert report.success
     assert len(report.horns.estimate_deg) == 18
     assert report.horns.corrected_deg == (0.0,) * 18
