@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sextant.shared.servo.servo_model import ServoModel
 
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
+_LONGEST_BYTES = 110  # [bytes] of the longest answer that a scan reads, with its request
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
 _NOBODY_SAYS = "torque off is not confirmed: if the legs do not give way, switch the servos' power off"
 _LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
@@ -373,7 +374,8 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "Se
     """
     from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus, open_port
 
-    patience, names = _NETWORK_PATIENCE_NS if bus.networked else PATIENCE_NS, profile.servo_names
+    names = profile.servo_names
+    patience = _NETWORK_PATIENCE_NS if bus.networked else patience_ns(rate or BAUD_RATE)
     return ServoBus(
         open_port(bus.port, rate or BAUD_RATE, patience),
         [i for i in names if i <= (model or profile.servo_model).protocol.MAX_ID],
@@ -395,6 +397,11 @@ def _bridge(port: str, profile: "RobotProfile") -> "Bridge":
     from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 
     return Bridge(open_port(port, timeout_ns=READ_NS), list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)
+
+
+def patience_ns(rate: int) -> int:
+    """Return the time [ns] to wait for an answer at a baud rate [1/s]: slow rates need longer for their longest answer."""
+    return PATIENCE_NS + _LONGEST_BYTES * 10 * 1_000_000_000 // rate
 
 
 def _profile(robot: str) -> "RobotProfile":

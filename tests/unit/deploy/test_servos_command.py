@@ -367,3 +367,11 @@ def test_port_in_use_by_another_program_is_reported(bench: BenchEmulator, capsys
             assert "2 of all 18 servos of phantomx_mk2 were scanned and are in order" in capsys.readouterr().out, (
                 "next is served"
             )
+
+
+def test_slow_rates_have_time_for_the_longest_answer() -> None:
+    """The RAM of an X430 is read in 94 bytes, which take 16 ms at the 57600 baud of its factory."""
+    answer = 94 * 10 / 57_600
+    assert servos.patience_ns(57_600) * 1e-9 > answer + 0.016 + 0.001
+    assert servos.patience_ns(9_600) > servos.patience_ns(57_600) > servos.patience_ns(1_000_000) > servos.PATIENCE_NS
+    assert servos.patience_ns(1_000_000) - servos.PATIENCE_NS < 2_000_000
