@@ -311,10 +311,14 @@ class Joints:
     def _restore_torque_limit(self, index: int) -> None:
         """Give a servo its full torque limit, if it acknowledges its goal. One that reboots for it loses its torque."""
         servo_id, goal = self._bus.servo_ids[index], self._goal_ticks(self.goals)[index]
-        if shutdown.end(self._bus, servo_id, int(goal), int(self._max_torque[index])):
+        if shutdown.end(self._bus, servo_id, int(goal), int(self._max_torque[index]), self._may_pull):
             self.strength[index] = 1.0
         elif self._bus.model.recovery is Recovery.REBOOT:
             self.torque[index] = False
+
+    def _may_pull(self) -> bool:
+        """Return whether no order keeps torque off."""
+        return not (self._off_ordered or self._latched())
 
     def _call_bus(self, call: Callable[[], object]) -> None:
         """Send something to the servos; without a bus do nothing, and if the bus is lost close it."""

@@ -105,7 +105,7 @@ def test_shutdown_is_reported_and_ends_only_on_order(name: str, error: ServoErro
     bench.pass_time(1.0)
     assert bench.command.torque_limit[0] == 0.0, "it does not come back by itself"
 
-    ended = shutdown.end(bench.bus, 1, units.centre, table.torque_limit.max)
+    ended = shutdown.end(bench.bus, 1, units.centre, table.torque_limit.max, lambda: True)
     assert ended == (model.recovery is not Recovery.REBOOT)
     bench.pass_time(0.02)
     assert (bench.command.torque_limit[0] > 0.0) == ended
@@ -126,7 +126,7 @@ def test_one_lost_acknowledgement_does_not_leave_a_servo_without_torque(name: st
     bench.servos.temperature[0] = 120.0
     bench.pass_time(0.02)
     bench.servos.temperature[0] = 25.0
-    assert shutdown.end(bench.bus, 1, model.units.centre, model.table.torque_limit.max)
+    assert shutdown.end(bench.bus, 1, model.units.centre, model.table.torque_limit.max, lambda: True)
     bench.bus.set_torque(True)
     bench.pass_time(0.02)
     assert bench.command.torque_limit[0] > 0.0
@@ -162,7 +162,7 @@ def test_rebooted_servo_is_silent_then_answers_without_torque() -> None:
     bench.bus.set_torque(True)
     bench.servos.temperature[0] = 120.0
     bench.pass_time(0.02)
-    assert not shutdown.end(bench.bus, 1, 2048, 885)
+    assert not shutdown.end(bench.bus, 1, 2048, 885, lambda: True)
     bench.servos.temperature[0] = 25.0
     bench.pass_time(0.02)
     assert bench.bus.ping(1) is None
@@ -367,3 +367,17 @@ def test_settings_of_a_joint_are_made_at_setup(name: str) -> None:
     bench.pass_time(0.02)
     for register, value in bench.model.joint_settings.items():
         assert bench.servos.column(register)[0] == value, register.name
+
+
+def test_servo_gets_no_torque_if_off_is_ordered_during_its_reset() -> None:
+    bench = Bench("STS3215", 1)
+    table = bench.model.table
+    bench.bus.set_torque(True)
+    bench.servos.temperature[0] = 120.0
+    bench.pass_time(0.02)
+    bench.servos.temperature[0] = 25.0
+    bench.pass_time(0.02)
+    assert not shutdown.end(bench.bus, 1, 2048, table.torque_limit.max, lambda: False)
+    bench.pass_time(0.02)
+    assert bench.bus.read(1, table.torque_enable) == 0
+    assert bench.command.torque_limit[0] == 0.0
