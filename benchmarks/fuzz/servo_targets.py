@@ -6,7 +6,7 @@ from random import Random
 
 from benchmarks.fuzz.mutators import broken
 from benchmarks.fuzz.target import Target
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel2, lx16a

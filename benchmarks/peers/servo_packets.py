@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.peers.timing import Spread, installed, machine, machine_in_words
-from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, ServoBus, open_port
+from sextant.services.actuator.servo_bus.bus_driver import REPLY_TIMEOUT_NS, ServoBus, open_port
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 

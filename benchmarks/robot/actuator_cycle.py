@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.peers.timing import machine, machine_in_words, one_core
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
-from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lateness import Limited
 from sextant.shared.runtime.service import Every, Inbox, Service, Stages

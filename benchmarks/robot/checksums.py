@@ -13,9 +13,10 @@ from random import Random
 
 import numpy as np
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus, ServoReading
-from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus, ServoReading
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY, ServoBank
 from sextant.shared.servo import dynamixel2
 from sextant.shared.servo.models import MODELS

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.servo_bus.dynamixel_bus import Lost, ServoBus, ServoReading
+from sextant.services.actuator.servo_bus.bus_driver import Lost, ServoBus, ServoReading
 from sextant.services.actuator.servo_bus.reading_validation import Implausibility
-from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault

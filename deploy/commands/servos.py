@@ -20,8 +20,8 @@ from sextant.deploy.terminal.interrupts import Interrupts
 
 if TYPE_CHECKING:
     from sextant.services.actuator.commissioning.set_ids import Found, Line
+    from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.services.actuator.servo_bus.bus_scan import Problem
-    from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
     from sextant.shared.robot.profile import RobotProfile
     from sextant.shared.servo.servo_model import ServoModel
@@ -152,7 +152,7 @@ def off(bus: Bus, bridge: bool) -> int:
     The latch is set first: a running actuator on this port turns torque off, and so does one that starts later.
     """
     from sextant.services.actuator.commissioning.torque_off import torque_off
-    from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError
+    from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError
 
     profile = _profile(bus.robot)
     unlatched = _latch_off(bus.port)
@@ -349,7 +349,7 @@ def _line(bus: Bus, profile: "RobotProfile", all_rates: bool = False) -> "Iterat
     """Open the servo port; close it at the end, also after a signal."""
     from sextant.services.actuator.commissioning.set_ids import Line
     from sextant.services.actuator.servo_bus import triage
-    from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE
+    from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE
 
     of_model = triage.all_rates if all_rates else triage.usual_rates
     rates = (BAUD_RATE,) if bus.networked else of_model(profile.servo_model)
@@ -372,7 +372,7 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "Se
     Raises:
         BusDisconnectedError: The port cannot be opened.
     """
-    from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus, open_port
+    from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus, open_port
 
     names = profile.servo_names
     patience = _NETWORK_PATIENCE_NS if bus.networked else patience_ns(rate or BAUD_RATE)
@@ -393,7 +393,7 @@ def _bridge(port: str, profile: "RobotProfile") -> "Bridge":
     Raises:
         BusDisconnectedError: The port cannot be opened.
     """
-    from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
+    from sextant.services.actuator.servo_bus.bus_driver import open_port
     from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 
     return Bridge(open_port(port, timeout_ns=READ_NS), list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)

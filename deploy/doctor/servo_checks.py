@@ -17,8 +17,8 @@ from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.files.config import ConfigError
 
 if TYPE_CHECKING:
+    from sextant.services.actuator.servo_bus.bus_driver import Port
     from sextant.services.actuator.servo_bus.bus_scan import ServoScan
-    from sextant.services.actuator.servo_bus.dynamixel_bus import Port
     from sextant.shared.robot.profile import RobotProfile
 
 _PATIENCE_NS = 50_000_000  # [ns] to wait for an answer; a servo that answers late is present
@@ -79,8 +79,8 @@ def out_of_reach(port: str) -> Check | None:
 
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that all of the robot's servos respond, and their state."""
+    from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, open_port
     from sextant.services.actuator.servo_bus.bus_scan import problems
-    from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, open_port
 
     name, names, model = f"servo port {port}", profile.servo_names, profile.servo_model
     try:
@@ -121,8 +121,8 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
 
     The port is closed at the end.
     """
+    from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.services.actuator.servo_bus.bus_scan import BusResponse, call
-    from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 
     names = profile.servo_names
     connect = partial(ServoBus, port, list(names), time.monotonic_ns, model=profile.servo_model, names=names)

@@ -33,7 +33,7 @@ from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.services.planner.service import Planner
 from sextant.services.simulator.config import Settings as SimulatorSettings
 from sextant.services.simulator.service import Simulator
-from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
 from sextant.shared.files.whole_files import WriteError

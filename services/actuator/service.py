@@ -22,7 +22,7 @@ from sextant.services.actuator.safety.plan_validation import reaches
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.torque_off_state import TorqueOffState
 from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
-from sextant.services.actuator.servo_bus.dynamixel_bus import Port, ServoReading
+from sextant.services.actuator.servo_bus.bus_driver import Port, ServoReading
 from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.services.actuator.state_report import StateReport
 from sextant.shared.geometry import Array

@@ -10,7 +10,8 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
 from sextant.services.actuator.service import Actuator
-from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_forward, body_inverse, joint_torques

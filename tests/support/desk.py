@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
-from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo.servo_model import Register

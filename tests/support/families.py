@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
-from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY, make_servo_bank
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile, Servo

@@ -8,9 +8,10 @@ import numpy as np
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.services.simulator.servo_bus.bridge_board import Board
-from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import body_inverse

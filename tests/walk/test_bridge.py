@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, open_port
+from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, open_port
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.service import Simulator
 from sextant.services.simulator.servo_bus.bridge_board import Board

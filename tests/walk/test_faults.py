@@ -8,9 +8,9 @@ import pytest
 
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.evaluation.metrics.walk_metrics import stability_margin
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.simulator.service import Simulator
-from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Fault, Scenario
 from sextant.shared.servo import dynamixel as dxl

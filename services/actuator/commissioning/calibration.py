@@ -11,7 +11,7 @@ import numpy as np
 from sextant.services.actuator.commissioning.limited_motion import hold, limited_motion, ready, resting
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
 

@@ -8,8 +8,8 @@ import numpy as np
 from sextant.services.actuator.commissioning.limited_motion import TORQUE_SHARE, get, hold, limited_motion, put, ready, silent
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, health_problem, retry, scan_servo
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.servo.servo_model import Block, signed
 

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import numpy as np
 
 from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import ServoScan, call, health_problem, named, problems, retry
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array

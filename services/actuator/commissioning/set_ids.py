@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import (
     FACTORY_ID,
     SET_ID,
@@ -25,7 +26,6 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     wake,
     wrong_settings,
 )
-from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import ServoModel
 

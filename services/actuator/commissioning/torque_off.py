@@ -5,8 +5,8 @@ from contextlib import contextmanager
 
 from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError, took
 from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import named
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel

@@ -10,8 +10,8 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
 from sextant.services.actuator.servo_bus import shutdown
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Servos, connect
 from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.geometry import Array

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import (
+from sextant.services.actuator.servo_bus.bus_driver import (
     LOST,
     BusSetupError,
     Port,

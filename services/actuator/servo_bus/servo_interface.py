@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import mcu_bridge, usb_adapter
-from sextant.services.actuator.servo_bus.dynamixel_bus import (
+from sextant.services.actuator.servo_bus.bus_driver import (
     REPLY_TIMEOUT_NS,
     BusDisconnectedError,
     BusSetupError,

@@ -5,8 +5,8 @@ from contextlib import closing
 from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, refuse_another_device, retry
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.serial_port import BAUD_RATE
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks import cli
 from benchmarks.peers import servo_packets
-from sextant.services.simulator.servo_bus.bus import MemoryPort
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import PacketParser
 from tests.support.desk import PHANTOMX, Desk

@@ -20,12 +20,12 @@ from sextant.deploy.commands import servos
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.actuator.servo_bus import dynamixel_bus
+from sextant.services.actuator.servo_bus import bus_driver
 from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, Port, open_port
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
-from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile
@@ -48,7 +48,7 @@ class Line:
 
     def __init__(self, device: BenchEmulator | Board, monkeypatch: pytest.MonkeyPatch) -> None:
         self._device = device
-        monkeypatch.setattr(dynamixel_bus, "open_port", self.open)
+        monkeypatch.setattr(bus_driver, "open_port", self.open)
         monkeypatch.setattr(servos, "time", self)
         self._port: MemoryPort | None = None
 

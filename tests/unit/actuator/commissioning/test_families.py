@@ -10,7 +10,7 @@ from sextant.services.actuator.commissioning.calibration import calibrate
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
 from sextant.services.actuator.commissioning.set_ids import Line
 from sextant.services.actuator.commissioning.torque_off import torque_off
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.triage import usual_rates
 from sextant.shared.robot.profile import LEGS, Calibration
 from sextant.shared.servo.servo_model import Register

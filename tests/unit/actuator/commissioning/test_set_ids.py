@@ -11,7 +11,7 @@ import pytest
 
 from sextant.services.actuator.commissioning import set_ids
 from sextant.services.actuator.commissioning.set_ids import Line
-from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus
 from sextant.services.actuator.servo_bus.triage import usual_rates
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.robot.profile import RobotProfile

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.servo_bus import bus_scan
+from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, NotAServoBusError, scan_servo
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, ServoBus
 from sextant.services.simulator.servo_bus.bus import Reply
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.models import AX_12A

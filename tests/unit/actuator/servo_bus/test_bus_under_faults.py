@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, BusDisconnectedError, Lost, ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import REPLY_TIMEOUT_NS, BusDisconnectedError, Lost, ServoBus
 from sextant.services.actuator.servo_bus.reading_validation import Implausibility
-from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import GRID, BusFault

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.servo_bus import shutdown
+from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
 from sextant.services.actuator.servo_bus.bus_scan import error_of, prepare, scan_servo
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel

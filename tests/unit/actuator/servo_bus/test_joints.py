@@ -8,7 +8,7 @@ import pytest
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.safety.health_monitor import SILENT
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError
+from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
 from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction

@@ -11,11 +11,11 @@ import pytest
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
 from sextant.services.actuator.servo_bus import servo_interface
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS
 from sextant.services.simulator.servo_bus.bridge_board import Board
-from sextant.services.simulator.servo_bus.bus import MemoryPort
 from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction
 from sextant.shared.servo.servo_model import Recovery, Register, ServoError

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Lost
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, Lost
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bridge_firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
-from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl

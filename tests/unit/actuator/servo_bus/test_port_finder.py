@@ -7,7 +7,7 @@ import pytest
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import servo_interface, usb_adapter
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError
 
 
 class Adapter:

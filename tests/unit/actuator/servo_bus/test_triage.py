@@ -5,8 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from sextant.services.actuator.servo_bus import triage
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import NotAServoBusError, Problem
-from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.actuator.servo_bus.triage import Opener, all_rates, usual_rates
 from sextant.shared.servo.models import MODEL_NAMED, MODELS
 from sextant.shared.servo.servo_model import ServoModel

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, Reply, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import BusTiming, Reply, ServoBusEmulator
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo import dynamixel as dxl

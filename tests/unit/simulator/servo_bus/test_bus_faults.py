@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, Reply
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.servo import dynamixel as dxl

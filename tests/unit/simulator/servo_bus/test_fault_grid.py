@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, ServoBus
-from sextant.services.simulator.servo_bus.bus import MemoryPort, ServoBusEmulator
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, ServoBus
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.servo.bus_fault import GRID, BusFault
 from sextant.shared.servo.models import MODEL_NAMED
 from tests.support.families import FAMILIES, Bench

@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.health_monitor import SILENT
-from sextant.services.actuator.servo_bus.dynamixel_bus import BusDisconnectedError, BusSetupError, Lost, ServoBus, open_port
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, Lost, ServoBus, open_port
 from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS
-from sextant.services.simulator.servo_bus.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.runtime import clock
