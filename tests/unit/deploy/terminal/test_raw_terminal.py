@@ -2,6 +2,7 @@
 
 import os
 import pty
+import select
 import signal
 import sys
 import termios
@@ -13,6 +14,8 @@ import pytest
 from sextant.deploy.terminal.raw_terminal import RawTerminal
 from sextant.services.console.drive.driver import TerminalLostError
 
+_ARRIVAL_S = 30.0  # [s] for keys to arrive, on a busy machine, too
+
 
 class Pair:
     """A pseudo-terminal: the operator's end, and that of the program in its foreground."""
@@ -23,7 +26,9 @@ class Pair:
         self.terminal = RawTerminal(self.suspended.append, self.program)
 
     def type(self, keys: bytes) -> None:
+        """Type, and wait until the keys have arrived: the kernel delivers them later, by a thread of its own."""
         os.write(self.operator, keys)
+        assert select.select([self.program], [], [], _ARRIVAL_S)[0], "the keys have not arrived"
 
     def modes(self) -> list[object]:
         return termios.tcgetattr(self.program)
