@@ -8,7 +8,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum, IntFlag, StrEnum, auto
+from enum import Enum, Flag, IntFlag, StrEnum, auto
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -372,6 +372,18 @@ _HARDWARE_ERRORS = {
 }
 
 
+class Feedback(Flag):
+    """What a servo measures and reports; everything else about it is estimated or unknown."""
+
+    NONE = 0
+    POSITION = auto()
+    SPEED = auto()
+    LOAD = auto()
+    VOLTAGE = auto()
+    TEMPERATURE = auto()
+    ALL = POSITION | SPEED | LOAD | VOLTAGE | TEMPERATURE
+
+
 SyncRead = Callable[[int, int, Iterable[int]], bytes]  # of address, size [bytes] and ids
 
 
@@ -404,6 +416,7 @@ class ServoModel:
     sync_read: SyncRead | None = None  # encodes a read of several servos, where the family has it
     masks: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # register name -> bits, and their value
     unlocks: bool = False  # whether writing 0 ends the lock; otherwise only a power cycle does
+    feedback: Feedback = Feedback.ALL
 
     @property
     def no_load_speed(self) -> float:

@@ -4,6 +4,9 @@ The controller exerts a torque in proportion to the distance between goal and po
 torque. So goal, position and load of one reading contradict each other if a register lies: a bit of the goal is stuck, the
 position register is off, or the load has the wrong sign. Speed, sag and the motion of the leg do not matter. A servo that shows
 its full torque and stays far behind its goal is too weak, or something holds it.
+
+The load of a servo that does not measure it is estimated by the same law, so it never contradicts its goal: of such a servo
+only a great distance to the goal shows.
 """
 
 import math

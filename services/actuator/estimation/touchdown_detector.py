@@ -11,6 +11,7 @@ from sextant.services.actuator.estimation.params import TouchdownParams
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import link_torques
 from sextant.shared.robot.profile import RobotProfile, Servo
+from sextant.shared.servo.servo_model import Feedback
 
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short
 _REFERENCE_MASS_KG = 2.5  # [kg] mass of the robot to which the limits of the parameters refer
@@ -57,6 +58,9 @@ class TouchdownDetector:
     its contact matters. Goals are steps, and the load of a turning leg falls from one goal to the next. Therefore readings are
     converted to a fixed time after the goals were sent.
 
+    Where servos measure no speed, the motion is that of the goals: a tick of their positions from one cycle to the next is too
+    coarse for an acceleration. A foot that is stopped then shows by the distance to its goal alone.
+
     Tests verify that free swings stay below the limits, and that a stopped foot exceeds them within three readings, with
     armatures known to within a factor of 1.6.
     """
@@ -66,6 +70,7 @@ class TouchdownDetector:
         self._profile, self._params = profile, params or TouchdownParams()
         self.period_ns = 20_000_000  # [ns] from the last control cycle, in which goals were sent, to this one
         self._inertia = _leg_inertia(profile)
+        self._measures_speed = Feedback.SPEED in profile.servo_model.feedback
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
         # All of them are lists, one number for each leg: readings come leg by leg.
         self._speed = [0.0] * 6  # [rad/s] of the femurs, by the newest readings
@@ -93,6 +98,9 @@ class TouchdownDetector:
     def add_reading(self, leg: int, femur: FemurReading) -> None:
         """Compute the ground force on a foot from a reading of its femur."""
         speed, since_ns = femur.speed, femur.stamp_ns - self._stamp_ns[leg]
+        if not self._measures_speed:
+            speed = self._goal_change[leg] / (self.period_ns * 1e-9)
+            femur = femur._replace(speed=speed)
         speed_change, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
         self._push_before[leg] = self._push[leg]
         self._valid[leg] = 0 < since_ns <= _MAX_READING_GAP * self.period_ns

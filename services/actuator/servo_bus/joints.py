@@ -16,7 +16,7 @@ from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Serv
 from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel, signed
+from sextant.shared.servo.servo_model import Feedback, Recovery, ServoError, ServoModel, signed
 
 _STARTUP_TIMEOUT_NS = 3_000_000_000  # [ns] for the first answers: a simulation starts late, and a USB hub wakes up slowly
 _ADOPT_WITHIN_RAD = np.radians(10.0)  # [rad] between a joint and the goal in its servo, up to which that goal is kept
@@ -25,6 +25,7 @@ _WITHOUT_TORQUE = np.uint8(SHUT_DOWN | ServoError.HARDWARE)  # errors with which
 _MAX_REQUESTS = 3  # maximum number of requests for the state of one servo on a reopened bus
 _NO_READING_S = 0.05  # [s] without a reading of any servo, from which goals may not arrive
 _BUS_LOST_S = 0.1  # [s] without one, from which the state of the robot is unknown
+_VOLTAGE_NS = 1_000_000_000  # [ns] for which a voltage holds that is not read with every position
 _MIN_READING_TIME_NS = 200_000_000  # [ns] of reading, from which the loss rate is meaningful
 
 
@@ -55,6 +56,7 @@ class Joints:
         """
         self._profile, self._settings, self._clock = profile, settings, clock
         self._table, self._units = profile.servo_model.table, profile.servo_model.units
+        self._measures_load = Feedback.LOAD in profile.servo_model.feedback
         self._opener = opener or PortFinder(settings).open
         self.offsets = np.zeros((6, 3))  # [rad] by which links are ahead of their encoders, besides the profile's trims
         self._set_horns()
@@ -70,6 +72,7 @@ class Joints:
         self._tolerated = int(settings.bridge)  # unanswered requests: readings from a bridge may be a cycle old
         self._catching_up = CatchingUp()
         self.q = self.goals = np.zeros((6, 3))  # [rad] joint angles by the newest readings; goals as stored in the servos
+        self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
         self.torque = np.zeros(18, dtype=np.bool_)  # servos with torque on
         self._torque_flags = b""  # torque and errors of the servos for which the next were computed
         self._torque_disabled = np.zeros((6, 3), dtype=np.bool_), np.zeros(6, dtype=np.bool_)
@@ -77,8 +80,8 @@ class Joints:
         self._max_torque = np.full(18, self._table.torque_limit.max)  # Max Torque register of each servo
         self._adopt_state([self._wait_for_state(i) for i in self._bus.servo_ids])
         self._bus.between = _do_nothing
-        self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
         self.voltage = np.full(18, np.nan)  # [V]
+        self._voltage_ns = [0] * 18  # stamps of these
         self.temperature = np.full(18, np.nan)  # [deg C]
 
     def close(self) -> None:
@@ -244,7 +247,12 @@ class Joints:
         self._call_bus(lambda: self._restore_torque_limit(index))
 
     def read_loads(self) -> Array:
-        """Read motor torques (6, 3) [N m] in joint direction; zero without an answer."""
+        """Read motor torques (6, 3) [N m] in joint direction; zero without an answer.
+
+        Those of servos that measure no load are the ones estimated when their state was read.
+        """
+        if not self._measures_load:
+            return self.load
         return self._torques([self._bus.read(i, self._table.present_load) or 0 for i in self._bus.servo_ids])
 
     # ------------------------------------------------------------------------------------------------- the bus itself
@@ -281,8 +289,12 @@ class Joints:
         q = sign * reading.position - horn
         self.q[leg, joint] = q
         self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
-        self.voltage[index] = reading.voltage
-        self.temperature[index] = reading.temperature
+        if reading.voltage == reading.voltage:  # not NaN
+            self.voltage[index], self._voltage_ns[index] = reading.voltage, reading.stamp_ns
+        elif reading.stamp_ns - self._voltage_ns[index] > _VOLTAGE_NS:
+            self.voltage[index] = np.nan
+        if reading.temperature == reading.temperature:
+            self.temperature[index] = reading.temperature
         if self._catching_up.all_behind or self._catching_up.behind[index]:
             self._catching_up.note_reading(index, reading.stamp_ns, q - float(self.goals[leg, joint]), reading.speed)
 
@@ -365,7 +377,10 @@ class Joints:
         self.strength = np.minimum(limits / np.maximum(max_torque, 1), 1.0)
         position = self._profile.servo_model.position
         self.q, goal_angles = self._angles(map(position, ticks.tolist())), self._angles(goals)
-        self.load = self._torques(loads.tolist())  # earlier readings may be those of a moving robot
+        spring = np.where(self.torque.reshape(6, 3), goal_angles - self.q, 0.0) * self._profile.servo.stiffness
+        most = self._profile.servo.stall_torque
+        # Earlier readings may be those of a moving robot.
+        self.load = self._torques(loads.tolist()) if self._measures_load else np.minimum(np.maximum(spring, -most), most)
         self.goals = np.where(np.abs(goal_angles - self.q) < _ADOPT_WITHIN_RAD, goal_angles, self.q)
 
     def _torques(self, loads: Sequence[int]) -> Array:
