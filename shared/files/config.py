@@ -263,6 +263,8 @@ def _build_dataclass(
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING and name not in misspelt:
             problems.append(f"{_join(where, name)}: missing; {_wanted(hints[name], name)} is needed")
     given = dict(values)
+    if default is None:  # checks of several fields see the defaults of those that the table omits
+        values |= {name: f.default for name, f in fields.items() if name not in table and f.default is not dataclasses.MISSING}
     misfits = _misfits((*_checks_of(schema), *also), values)
     problems += [_join(where, _words(misfit)) for misfit in misfits]
     if len(problems) > before:

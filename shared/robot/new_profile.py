@@ -7,7 +7,7 @@ import numpy as np
 from sextant.shared.files import config
 from sextant.shared.robot.profile import LEGS, Body, Foot, Leg, LegLinks, RobotProfile
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
-from sextant.shared.robot.servo_proposal import proposed_servo
+from sextant.shared.robot.servo_proposal import proposed_battery, proposed_servo
 from sextant.shared.servo.models import MODEL_NAMED
 
 _SHARES_OF_LEG = (
@@ -66,6 +66,7 @@ def new_profile(name: str, measures: Measures) -> RobotProfile:
         stance=PLACEHOLDER_STANCE,
         legs=tuple(_leg(k, measures) for k in range(len(LEGS))),  # type: ignore[arg-type]
         camera=proposed_camera(size),
+        battery=proposed_battery(measures.servo),
     )
     return replace(profile, stance=proposed_stance(profile))
 

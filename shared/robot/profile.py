@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from sextant.shared.files import config
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.servo.custom_model import ModelNumbers, custom_model
 from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import Register, ServoModel
@@ -95,11 +96,28 @@ class Leg:
         config.verify(self)
 
 
-def _wrong_controller(model: str, compliance_slope: int, position_gain: int) -> Iterator[config.Misfit]:
+def _model(name: str, numbers: ModelNumbers | None) -> ServoModel | None:
+    """Return the servo model with a name; None if it is unknown, and its numbers are not stated."""
+    return MODEL_NAMED.get(name) if numbers is None else custom_model(name, numbers)
+
+
+def _unknown_model(model: str, numbers: ModelNumbers | None) -> Iterator[config.Misfit]:
+    """Yield a model that is not known and has no numbers, or one that is known and has some."""
+    if numbers is None and model not in MODEL_NAMED:
+        known = ", ".join(MODEL_NAMED)
+        yield config.Misfit("model", f"one of {known}, or another with its numbers in [servo.numbers],", repr(model))
+    elif numbers is not None and model in MODEL_NAMED:
+        yield config.Misfit("model", "a name that no known model has, since [servo.numbers] is stated,", repr(model))
+
+
+def _wrong_controller(
+    model: str, numbers: ModelNumbers | None, compliance_slope: int, position_gain: int
+) -> Iterator[config.Misfit]:
     """Yield the setting of the position controller that a servo of this model lacks, or does not have."""
-    if model not in MODEL_NAMED:
+    found = _model(model, numbers)
+    if found is None:
         return
-    has_slope = bool(MODEL_NAMED[model].table.compliance)
+    has_slope = bool(found.table.compliance)
     needed, other = ("compliance_slope", "position_gain") if has_slope else ("position_gain", "compliance_slope")
     values = {"compliance_slope": compliance_slope, "position_gain": position_gain}
     needed_words, other_words = (name.replace("_", " ") for name in (needed, other))
@@ -114,7 +132,7 @@ def _wrong_controller(model: str, compliance_slope: int, position_gain: int) -> 
 class Servo:
     """Data sheet of the servos; all 18 are of the same model."""
 
-    model: str  # of all servos, one of `sextant.shared.servo.models`
+    model: str  # of all servos, one of `sextant.shared.servo.models`, or another with its `numbers`
     stall_torque: float  # [N m] torque at standstill
     no_load_speed: float  # [rad/s] speed without torque
     stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope or position gain
@@ -124,24 +142,30 @@ class Servo:
     position_gain: int = 0  # proportional gain of the position controller of other servos
     temperature_limit: float = 70.0  # [deg C] at which a servo shuts itself down
     lock_eeprom: bool = True  # after setup, id, baud rate and limits are read-only until the servo loses power
+    numbers: ModelNumbers | None = None  # of a model that is not known
 
     checks = (
         *config.each("stall_torque no_load_speed stiffness", lambda value: 0 < value <= 1e4, "more than 0 and at most 10000"),
         *config.each("armature friction", lambda value: 0 <= value <= 100, "0 to 100"),
         *config.each("temperature_limit", lambda limit: 40 <= limit <= 99, "40 to 99 deg C"),
-        *config.each("model", lambda name: name in MODEL_NAMED, f"one of {', '.join(MODEL_NAMED)}"),
+        config.Check(("model", "numbers"), _unknown_model),
         *config.each("compliance_slope", lambda slope: 0 <= slope <= 254, "a compliance slope from 1 to 254"),
         *config.each("position_gain", lambda gain: 0 <= gain <= 16383, "a position gain from 1 to 16383"),
-        config.Check(("model", "compliance_slope", "position_gain"), _wrong_controller),
+        config.Check(("model", "numbers", "compliance_slope", "position_gain"), _wrong_controller),
     )
 
     def __post_init__(self) -> None:
         config.verify(self)
 
     @property
+    def servo_model(self) -> ServoModel:
+        """Registers and units of the servos."""
+        return MODEL_NAMED[self.model] if self.numbers is None else custom_model(self.model, self.numbers)
+
+    @property
     def controller_settings(self) -> dict[Register, int]:
         """Settings of the servo's position controller, by register."""
-        table = MODEL_NAMED[self.model].table
+        table = self.servo_model.table
         if table.position_gain is not None:
             return {table.position_gain: self.position_gain}
         return dict.fromkeys(table.compliance[2:], self.compliance_slope)
@@ -149,7 +173,7 @@ class Servo:
     @property
     def nominal_stiffness(self) -> float:
         """Stiffness [N m/rad] of the model's position controller at these settings, by its data sheet."""
-        model = MODEL_NAMED[self.model]
+        model = self.servo_model
         if model.table.position_gain is not None:
             return self.stall_torque * self.position_gain * model.gain_stiffness
         return self.stall_torque / (full_torque_ticks(self.compliance_slope) * model.units.tick_rad)
@@ -417,14 +441,14 @@ def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
 
 def _beyond_servo(servo: Servo, legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
     """Yield limits and ids that servos of the model do not have."""
-    if getattr(servo, "model", None) not in MODEL_NAMED:
+    model = _model(getattr(servo, "model", ""), getattr(servo, "numbers", None))
+    if model is None:
         return
-    model = MODEL_NAMED[servo.model]
     most = math.degrees(model.units.range_rad)
     for i, leg in enumerate(legs):
         for k, limits in enumerate(getattr(leg, "servo_limits_deg", ())):
             if max(map(abs, limits)) > most + 1e-6:
-                expected = f"limits within -{most:.0f} and {most:.0f} deg, the range of {servo.model} servos,"
+                expected = f"limits within -{most:.0f} and {most:.0f} deg, the range of {model.name} servos,"
                 yield config.Misfit(f"legs[{i}].servo_limits_deg[{k}]", expected, str(list(limits)))
         for k, servo_id in enumerate(getattr(leg, "servo_ids", ())):
             if servo_id > model.protocol.MAX_ID:
@@ -477,7 +501,7 @@ class RobotProfile:
     @property
     def servo_model(self) -> ServoModel:
         """Registers and units of the servos."""
-        return MODEL_NAMED[self.servo.model]
+        return self.servo.servo_model
 
     @cached_property
     def servo_ids(self) -> NDArray[np.int64]:

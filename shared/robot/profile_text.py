@@ -62,10 +62,13 @@ def write_new_profile(path: Path, profile: RobotProfile, heading: Sequence[str] 
 def _table(name: str, table: Mapping[str, Any]) -> list[str]:
     """Return the lines of a table, then those of its own tables."""
     comment = f"  # {_COMMENTS[name]}" if name in _COMMENTS else ""
-    lines = [f"[{name}]{comment}", *(f"{key} = {_value(item)}" for key, item in table.items() if not isinstance(item, dict))]
+    lines = [f"[{name}]{comment}", *(f"{key} = {_value(item)}" for key, item in table.items() if not _is_table(item))]
     for key, item in table.items():
         if isinstance(item, dict):
             lines += ["", *_table(f"{name}.{key}", item)]
+        elif _is_table(item):
+            for entry in item:
+                lines += ["", f"[[{name}.{key}]]", *(f"{word} = {_value(value)}" for word, value in entry.items())]
     return lines
 
 

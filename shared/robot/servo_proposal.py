@@ -4,10 +4,11 @@ import math
 from dataclasses import replace
 from types import MappingProxyType
 
-from sextant.shared.robot.profile import Servo
+from sextant.shared.robot.profile import Battery, Servo
 from sextant.shared.servo.models import MODEL_NAMED
 
-# [N m] stall torque of each model at its usual voltage: 14.8 V for the RX-64, 11.1 V for the XL430, 12 V for the others.
+# [N m] stall torque of each model at its usual voltage: 14.8 V for the RX-64, 11.1 V for the XL430, 7.4 V for the XL-320, and
+# 12 V for the others.
 STALL_TORQUES = MappingProxyType(
     {
         "AX-12A": 1.5,
@@ -17,6 +18,7 @@ STALL_TORQUES = MappingProxyType(
         "RX-64": 4.24,
         "MX-28": 2.5,
         "MX-64": 6.0,
+        "XL-320": 0.39,
         "XL430-W250": 1.4,
         "XC430-W150": 1.6,
         "XC430-W240": 1.9,
@@ -24,6 +26,7 @@ STALL_TORQUES = MappingProxyType(
         "STS3215": 2.94,
     }
 )
+_BATTERIES = MappingProxyType({"XL-320": Battery(7.0, 6.6)})  # two lithium polymer cells instead of three
 _RX_64_SPEED = 5.36  # [rad/s] at 14.8 V; its model has the speed at 18.5 V
 _COMPLIANCE_SLOPE = 32  # the factory's
 _ARMATURE_PER_NM, _FRICTION_PER_NM = 0.002, 0.02  # [kg m^2] and [N m] per N m of stall torque, assumed: those of the AX-12A
@@ -56,3 +59,8 @@ def proposed_servo(name: str, stall_torque: float | None = None) -> Servo:
         temperature_limit=float(model.default(model.table.temperature_limit)),
     )
     return replace(servo, stiffness=round(servo.nominal_stiffness, _DIGITS))
+
+
+def proposed_battery(name: str) -> Battery:
+    """Return the voltage limits of the usual battery for servos of a model."""
+    return _BATTERIES.get(name, Battery())

@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from types import MappingProxyType
 
-from sextant.shared.servo import dynamixel, dynamixel2, feetech, x_series
+from sextant.shared.servo import dynamixel, dynamixel2, feetech, x_series, xl320
 from sextant.shared.servo.servo_model import ALL_OF_PROTOCOL_1, Recovery, ServoError, ServoModel, setting
 
 _NONE: MappingProxyType[str, int] = MappingProxyType({})
@@ -120,5 +120,20 @@ XL430_W250 = _x430("XL430-W250", 1060, 61.0, position_p_gain=640, position_d_gai
 XC430_W150 = _x430("XC430-W150", 1070, 106.0, temperature_limit=80, max_voltage=160, position_p_gain=460, velocity_limit=460)
 XC430_W240 = _x430("XC430-W240", 1080, 70.0, temperature_limit=80, max_voltage=160, position_p_gain=700, velocity_limit=306)
 XM430_W350 = _x430("XM430-W350", 1020, 57.0, 2.3, temperature_limit=80, max_voltage=160, min_voltage=95, velocity_limit=200)
-MODELS = (AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350, STS3215)
+XL_320 = ServoModel(
+    "XL-320",
+    350,
+    dynamixel2,
+    xl320.TABLE,
+    dynamixel.UNITS,
+    MappingProxyType(xl320.RATES),
+    MappingProxyType(xl320.SETTINGS),
+    no_load_rpm=114.0,  # at 7.4 V
+    overrides=_NONE,
+    eeprom_needs_torque_off=True,
+    sync_read=dynamixel2.sync_read,
+    gain_stiffness=1.0 / (8.0 * 1023.0 * MX_UNITS.tick_rad),  # assumed: that of an MX; the manual states no unit of its gain
+    error_bits=MappingProxyType(xl320.ERROR_BITS),
+)
+MODELS = (AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350, XL_320, STS3215)
 MODEL_NAMED = MappingProxyType({model.name: model for model in MODELS})

@@ -362,8 +362,8 @@ class Block:
         return values if self._is_ordered else tuple(values[k] for k in self._order)
 
 
-# Bits of the hardware error register of Dynamixel servos with Protocol 2.0.
-_HARDWARE_ERRORS = {
+# Bits of the shutdown register, and of the hardware error register of X series servos.
+_ERROR_BITS = {
     1 << 0: ServoError.INPUT_VOLTAGE,
     1 << 2: ServoError.OVERHEATING,
     1 << 3: ServoError.HARDWARE,  # encoder
@@ -417,6 +417,7 @@ class ServoModel:
     masks: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # register name -> bits, and their value
     unlocks: bool = False  # whether writing 0 ends the lock; otherwise only a power cycle does
     feedback: Feedback = Feedback.ALL
+    error_bits: Mapping[int, ServoError] = field(default_factory=lambda: _ERROR_BITS)  # of both error registers
 
     @property
     def no_load_speed(self) -> float:
@@ -424,15 +425,15 @@ class ServoModel:
         return self.no_load_rpm * 2.0 * math.pi / 60.0
 
     def hardware_errors(self, value: int) -> ServoError:
-        """Return the errors in the hardware error register."""
+        """Return the errors in the hardware error register, or in the shutdown register."""
         found = ServoError.NONE
-        for bit, error in _HARDWARE_ERRORS.items():
+        for bit, error in self.error_bits.items():
             found |= error if value & bit else ServoError.NONE
         return found
 
     def hardware_error_code(self, error: int) -> int:
-        """Return the hardware error register of errors; the inverse of `hardware_errors`."""
-        return sum(bit for bit, meaning in _HARDWARE_ERRORS.items() if error & meaning and bit != 1 << 4)
+        """Return the register of errors; the inverse of `hardware_errors`."""
+        return sum(bit for bit, meaning in self.error_bits.items() if error & meaning and bit != 1 << 4)
 
     @cached_property
     def joint_settings(self) -> dict[Register, int]:

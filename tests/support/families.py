@@ -12,10 +12,11 @@ from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY, ma
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile, Servo
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.servo_proposal import proposed_battery
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import ServoModel
 
-FAMILIES = ("AX-12A", "MX-28", "XL430-W250", "XM430-W350", "STS3215")  # one servo of each control table, at least
+FAMILIES = ("AX-12A", "MX-28", "XL-320", "XL430-W250", "XM430-W350", "STS3215")  # one servo of each control table, at least
 
 
 def robot_with(model_name: str) -> RobotProfile:
@@ -34,7 +35,7 @@ def robot_with(model_name: str) -> RobotProfile:
         position_gain=gain,
         temperature_limit=float(model.default(table.temperature_limit)),
     )
-    return replace(profile, name=f"robot_{model_name.lower()}", servo=servo)
+    return replace(profile, name=f"robot_{model_name.lower()}", servo=servo, battery=proposed_battery(model_name))
 
 
 class Bench:

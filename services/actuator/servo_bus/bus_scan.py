@@ -367,7 +367,8 @@ def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -
     low, high = seen[table.low_limit], seen[table.high_limit]
     hot, usual = seen[table.temperature_limit], model.default(table.temperature_limit)
     torque, most = seen[table.max_torque], model.default(table.max_torque)
-    unguarded = _PROTECTION & ~seen[table.shutdown]
+    unguarded = _PROTECTION & ~model.hardware_errors(seen[table.shutdown])
+    guarded = seen[table.shutdown] | model.hardware_error_code(_PROTECTION)
     narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
     bare = f"does not shut down for {error_words(unguarded)}"
     settings = (
@@ -378,7 +379,7 @@ def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -
             torque < most,
             Setting(table.max_torque, most, f"gives {100 * torque * model.units.torque:.0f} % of its torque at most"),
         ),
-        (unguarded, Setting(table.shutdown, seen[table.shutdown] | _PROTECTION, bare)),
+        (unguarded, Setting(table.shutdown, guarded, bare)),
     )
     return [setting for wrong, setting in settings if wrong]
 

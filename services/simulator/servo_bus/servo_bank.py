@@ -18,7 +18,7 @@ from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.robot.profile import Servo
 from sextant.shared.runtime.compiled import compiled
 from sextant.shared.servo.dynamixel import full_torque_ticks
-from sextant.shared.servo.models import AX_12A, MODEL_NAMED
+from sextant.shared.servo.models import AX_12A
 from sextant.shared.servo.protection import Protection
 from sextant.shared.servo.servo_model import Recovery, Register, ServoError, ServoModel, Sign
 
@@ -70,6 +70,7 @@ RX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.7)  # at 12 V
 MX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.4, standby_current=0.1)  # at 12 V
 MX_64_MOTOR = Motor(stall_torque=6.0, stall_current=4.1, standby_current=0.1)  # at 12 V
 STS3215_MOTOR = Motor(stall_torque=2.94, stall_current=2.7, standby_current=0.006)  # the model for 12 V
+XL_320_MOTOR, XL_320_SUPPLY = Motor(stall_torque=0.39, stall_current=1.1, standby_current=0.02), Supply(8.4, 6.6)  # two cells
 XL430_W250_MOTOR = Motor(stall_torque=1.4, stall_current=1.3, standby_current=0.052)  # at 11.1 V
 XC430_W150_MOTOR = Motor(stall_torque=1.6, stall_current=1.4, standby_current=0.046)  # at 12 V
 XC430_W240_MOTOR = Motor(stall_torque=1.9, stall_current=1.4, standby_current=0.046)  # at 12 V
@@ -83,6 +84,7 @@ MOTOR_AND_SUPPLY = {
     "RX-28": (RX_28_MOTOR, Supply()),
     "MX-28": (MX_28_MOTOR, Supply()),
     "MX-64": (MX_64_MOTOR, Supply()),
+    "XL-320": (XL_320_MOTOR, XL_320_SUPPLY),
     "XL430-W250": (XL430_W250_MOTOR, Supply()),
     "XC430-W150": (XC430_W150_MOTOR, Supply()),
     "XC430-W240": (XC430_W240_MOTOR, Supply()),
@@ -386,7 +388,7 @@ class ServoBank:
         enable = start + self.table.torque_enable.address
         was_on = self._bytes[enable]
         self._bytes[start + address : start + end] = data
-        if self.model.recovery is Recovery.REBOOT and self._latched_errors[row] & self.column(self.table.shutdown)[row]:
+        if self.model.recovery is Recovery.REBOOT and self._latched_errors[row] & self._shuts_down_for(row):
             self._bytes[enable] = 0  # until it reboots
         turned_on = self._bytes[enable] and not was_on
         if turned_on and not (address <= self.table.goal_position.address < end):
@@ -524,10 +526,15 @@ class ServoBank:
             tripped = bool(self._tripped.any())
         if tripped:
             self._latched_errors |= self._tripped
-            down = (self._tripped & self.column(self.table.shutdown) != 0) & (self._shut_down_by != 0)
+            kinds = np.array([self._shuts_down_for(row) for row in range(len(self))])
+            down = (self._tripped & kinds != 0) & (self._shut_down_by != 0)
             if down.any():
                 self._shut_down(down)
         return float(duty_sum)
+
+    def _shuts_down_for(self, row: int) -> int:
+        """Return the errors for which a servo shuts down."""
+        return int(self.model.hardware_errors(int(self.column(self.table.shutdown)[row])))
 
     def _shut_down(self, down: NDArray[np.bool_]) -> None:
         """Turn the motors of servos (n,) off, as their model does."""
@@ -652,11 +659,22 @@ def make_servo_bank(
     proportional to its torque. The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a supply with
     constant voltage, and `battery_resistance` is a factor.
     """
-    motor, supply = MOTOR_AND_SUPPLY[servo.model]
+    motor, supply = _motor_and_supply(servo)
     current = motor.stall_current * servo.stall_torque / motor.stall_torque
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
-    model, n = MODEL_NAMED[servo.model], len(servo_ids)
+    model, n = servo.servo_model, len(servo_ids)
     variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
     variation = replace(variation, stiffness=variation.stiffness * servo.stiffness / servo.nominal_stiffness)
     return ServoBank(servo_ids, model, motor, supply=supply, q=q, variation=variation)
+
+
+def _motor_and_supply(servo: Servo) -> tuple[Motor, Supply]:
+    """Return motor and supply of a servo's model; those of a model by its numbers have its current and voltages."""
+    if servo.numbers is None:
+        return MOTOR_AND_SUPPLY[servo.model]
+    motor, supply = MOTOR_AND_SUPPLY[servo.numbers.like]
+    full, empty = servo.numbers.supply_volts
+    current = servo.numbers.stall_current or motor.stall_current * servo.stall_torque / motor.stall_torque
+    motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
+    return motor, replace(supply, full_voltage=full, empty_voltage=empty)

@@ -25,7 +25,7 @@ from sextant.shared.robot.description.robot_description import DescribedJoint, D
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profile import JOINTS, LEGS, Body, Camera, Foot, Leg, LegLinks, RobotProfile, Servo
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
-from sextant.shared.robot.servo_proposal import nearest_servo, proposed_servo
+from sextant.shared.robot.servo_proposal import nearest_servo, proposed_battery, proposed_servo
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.spelling import hint
 
@@ -101,6 +101,7 @@ def _import(
         stance=PLACEHOLDER_STANCE,
         legs=tuple(_leg(k, leg, horns, most, origin) for k, leg in enumerate(described)),  # type: ignore[arg-type]
         camera=_camera(bodies, origin, size, notes),
+        battery=proposed_battery(data.model),
     )
     profile = replace(profile, stance=proposed_stance(profile))
     notes.append("servo ids are 1 to 18, horns and signs those of the description: `sextant servos calibrate` measures them")

@@ -269,7 +269,7 @@ def _at(table: Any, path: str) -> tuple[Any, Any]:
 # Each is wrong independently of the others: path in the table, invalid value, error message.
 MISTAKES: dict[str, tuple[Any, str]] = {
     "servo.stall_torque": (-1.0, "servo.stall_torque: more than 0 and at most 10000 expected, found -1.0"),
-    "servo.model": ("AX-19", f"servo.model: one of {', '.join(MODEL_NAMED)} expected, found 'AX-19'"),
+    "servo.model": ("AX-19", f"servo.model: one of {', '.join(MODEL_NAMED)}, or another with its numbers"),
     "servo.compliance_slope": (255, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 255"),
     "servo.armature": ("little", "servo.armature: a number expected, found 'little'"),
     "links.femur": (0.0, "links.femur: a length of 0.001 to 10 m expected, found 0.0"),

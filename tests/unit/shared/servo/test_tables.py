@@ -1,6 +1,6 @@
 """Rows of the makers' tables, in numbers, since driver and emulator share one table.
 
-Sources: ROBOTIS e-manual, pages MX-28, XL430-W250 and XM430-W350; Feetech's memory table of the STS series.
+Sources: ROBOTIS e-manual, pages MX-28, XL-320, XL430-W250 and XM430-W350; Feetech's memory table of the STS series.
 """
 
 import pytest
@@ -29,9 +29,19 @@ MX = {
     "id": (3, 1, 1), "high_limit": (8, 2, 4095), "position_gain": (28, 1, 32), "goal_position": (30, 2), "goal_speed": (32, 2),
     "torque_limit": (34, 2), "present_position": (36, 2), "present_load": (40, 2), "lock": (47, 1, 0),
 }  # fmt: skip
+XL320 = {
+    "model_number": (0, 2, 350), "id": (3, 1, 1), "baud_rate": (4, 1, 3), "return_delay": (5, 1, 250), "low_limit": (6, 2, 0),
+    "high_limit": (8, 2, 1023), "temperature_limit": (12, 1, 65), "min_voltage": (13, 1, 60), "max_voltage": (14, 1, 90),
+    "max_torque": (15, 2, 1023), "status_return_level": (17, 1, 2), "shutdown": (18, 1, 3), "torque_enable": (24, 1, 0),
+    "position_gain": (29, 1, 32), "goal_position": (30, 2), "goal_speed": (32, 2), "torque_limit": (35, 2),
+    "present_position": (37, 2), "present_speed": (39, 2), "present_load": (41, 2), "present_voltage": (45, 1),
+    "present_temperature": (46, 1), "registered": (47, 1), "moving": (49, 1), "hardware_error": (50, 1),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "rows"), [("XL430-W250", X430), ("XM430-W350", X430), ("STS3215", STS), ("MX-28", MX)])
+@pytest.mark.parametrize(
+    ("name", "rows"), [("XL-320", XL320), ("XL430-W250", X430), ("XM430-W350", X430), ("STS3215", STS), ("MX-28", MX)]
+)
 def test_rows_of_the_manual(name: str, rows: dict[str, tuple[int, ...]]) -> None:
     model = MODEL_NAMED[name]
     for role, row in rows.items():
@@ -43,7 +53,7 @@ def test_rows_of_the_manual(name: str, rows: dict[str, tuple[int, ...]]) -> None
     ("name", "number", "tick_deg", "rpm_per_tick"),
     [
         ("MX-28", 29, 0.088, 0.114), ("XL430-W250", 1060, 0.088, 0.229), ("XM430-W350", 1020, 0.088, 0.229),
-        ("STS3215", 777, 0.088, 0.732 / 50), ("AX-12A", 12, 0.29, 0.111),
+        ("STS3215", 777, 0.088, 0.732 / 50), ("XL-320", 350, 0.29, 0.111), ("AX-12A", 12, 0.29, 0.111),
     ],
 )  # fmt: skip
 def test_units_of_the_manual(name: str, number: int, tick_deg: float, rpm_per_tick: float) -> None:
@@ -82,3 +92,10 @@ def test_hardware_error_bits_of_the_x_series() -> None:
     assert model.hardware_errors(0x24) == ServoError.OVERHEATING | ServoError.OVERLOAD
     assert model.hardware_errors(0x10) == ServoError.HARDWARE
     assert dynamixel2.ALERT == 0x80
+
+
+def test_error_bits_of_the_xl_320() -> None:
+    model = MODEL_NAMED["XL-320"]
+    assert model.hardware_errors(0x03) == ServoError.OVERLOAD | ServoError.OVERHEATING
+    assert model.hardware_errors(0x04) == ServoError.INPUT_VOLTAGE
+    assert model.hardware_error_code(ServoError.OVERLOAD | ServoError.INPUT_VOLTAGE) == 0x05
