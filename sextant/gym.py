@@ -117,7 +117,9 @@ class HexapodEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self._newest: dict[AnyTopic, bytes] = {}
-        self._driver = _Driver(self._scenario.walk)
+        walk = self._scenario.walk
+        height = self._profile.stance.height_or_own(walk.body_height)
+        self._driver = _Driver(replace(walk, body_height=height))
         self._command = np.zeros(3, np.float32)
         self._run = LockstepRun(
             self._scenario, self._seed, self._profile, self._tap, every_frame=False, around={"operator": lambda _: self._driver}

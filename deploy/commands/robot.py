@@ -73,7 +73,11 @@ def _point(text: str) -> tuple[float, ...]:
 @robot.command("import")
 @argument("file", "URDF or MJCF", "FILE")
 @option("--out", "profile to write, a new file that ends in .toml", "PROFILE", required=True)
-@option("--joints", "TOML file with the joint names of each leg (default: guessed from their places)", "FILE")
+@option(
+    "--joints",
+    "TOML file with the joint names of each leg, and feet if they differ (default: guessed from their places)",
+    "FILE",
+)
 @option(
     "--foot",
     "centre of a foot in the frame of its last link [m] (default: as described)",
@@ -87,13 +91,15 @@ def import_(file: str, out: str, joints: str | None, foot: tuple[float, ...] | N
 
     Meshes are ignored. The robot has six legs of three joints: a vertical coxa axis, and horizontal axes of femur and tibia.
     """
-    from sextant.shared.robot.description.profile_import import import_profile, joint_names
+    from sextant.shared.robot.description.profile_import import LegTable, import_profile, read_legs
     from sextant.shared.robot.description.robot_description import DescriptionError
     from sextant.shared.robot.profile_text import write_new_profile
 
-    names = None if joints is None else joint_names(Path(joints))
+    legs = LegTable({}, {}) if joints is None else read_legs(Path(joints))
+    if foot and legs.feet:
+        raise InputError(f"--foot: {joints} states the feet already; give one of both")
     try:
-        found = import_profile(_described(Path(file)), names, foot, forward, servo)
+        found = import_profile(_described(Path(file)), legs.joints or None, foot or legs.feet or None, forward, servo)
     except DescriptionError as error:
         raise InputError(f"{file}: {error}") from None
     write_new_profile(Path(out), found.profile, [f"Imported from {Path(file).name}.", *found.notes])

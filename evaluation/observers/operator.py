@@ -81,7 +81,7 @@ class Operator:
         self._route = np.array([*scenario.goal.waypoints, end]) if scenario.goal.route else None
         self._gap_crossing: GapCrossingMode = "always" if scenario.goal.passage else "if needed"
         self._goal_due_ns = 0
-        self._walk = scenario.walk
+        self._walk = replace(scenario.walk, body_height=profile.stance.height_or_own(scenario.walk.body_height))
         self._speed = min(scenario.walk.speed, profile.stance.max_speed)
         self._order: Literal["stand", "walk"] = "stand"
         self._given_ns = -1  # when that was ordered, by the robot's clock

@@ -43,7 +43,7 @@ def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> boo
         scenario: The scenario of the run.
         course: Its true ground, placed under its start.
     """
-    height = scenario.walk.body_height
+    height = profile.stance.height_or_own(scenario.walk.body_height)
     near = gap_begins(course, scenario.goal.distance) - GapApproachParams().start_distance_m - BEHIND
     field = strip_from(course, near, height)
     goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near, BareGroundParams())

@@ -120,7 +120,8 @@ class Simulator:
 
     def _switch_on(self, profile: RobotProfile, scenario: Scenario, rng: np.random.Generator) -> ServoBank:
         """Place the robot at its start, and return its servos, which hold the pose."""
-        q, start = body_inverse(profile, profile.rest_feet(scenario.walk.body_height)), scenario.start
+        height = profile.stance.height_or_own(scenario.walk.body_height)
+        q, start = body_inverse(profile, profile.rest_feet(height)), scenario.start
         x, y, yaw_deg = rng.uniform(-1.0, 1.0, 3) * (*start.xy_spread, start.yaw_spread_deg) + (*start.xy, start.yaw_deg)
         real = self._deviation
         self.world.stand(q - np.radians(real.horns_deg), (x, y), np.radians(yaw_deg))

@@ -305,6 +305,11 @@ class Stance:
     def __post_init__(self) -> None:
         config.verify(self)
 
+    def height_or_own(self, body_height: float) -> float:
+        """Return a body height [m], or that of the stance if this robot does not reach it."""
+        low, high = self.body_height_range
+        return body_height if low <= body_height <= high else self.body_height
+
 
 CAMERA_DEVICES = ("openni2", "realsense", "oak", "orbbec", "external", "none")  # besides the paths of recorded folders
 

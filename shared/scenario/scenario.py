@@ -554,7 +554,7 @@ class Walk:
 
     gait: GaitName = "tripod"  # groups of legs that swing together: two, three or six
     speed: float = 0.11  # [m/s] commanded on level ground
-    body_height: float = 0.11  # [m] above the ground
+    body_height: float = 0.11  # [m] above the ground; a robot whose range does not reach it has that of its stance
     lift: float = 0.025  # [m] clearance of a swinging foot over start and touchdown; higher over obstacles in the map
     blind: bool = False  # True: baseline without a map, the planner walks as on flat ground
     footholds: Literal["score", "evaluation"] = "score"  # map layer for the footholds: Lotriet's or Masri's

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from sextant.shared.spelling import hint
 
 _LENGTH_TOLERANCE_M = 0.002  # [m] by which legs of one robot may differ
 _FOOT_RADIUS_M = 0.01  # [m] if the description shows none
+_NO_SERVO_NM, _NO_SERVO_RAD_S = 30.0, 30.0  # torque and speed that stand for "unlimited" in a description
 _TRUNK_HEIGHT_M = 0.04  # [m] the same
 _POSES, _SEED = 50, 0  # joint angles with which the profile is verified
 _OPTICAL = "optical"  # part of the names of cameras' frames with z along the line of sight
@@ -50,7 +52,7 @@ class ImportedProfile:
 def import_profile(
     description: RobotDescription,
     names: Mapping[str, Sequence[str]] | None = None,
-    foot: Sequence[float] | None = None,
+    foot: Sequence[float] | Mapping[str, Sequence[float]] | None = None,
     forward: str = "x",
     servo: str | None = None,
 ) -> ImportedProfile:
@@ -59,7 +61,7 @@ def import_profile(
     Args:
         description: Links and joints.
         names: Names of coxa, femur and tibia joint by leg; None: guessed from where they are.
-        foot: (3,) [m] centre of a foot in the frame of its last link; None: from the description.
+        foot: (3,) [m] centre of every foot in the frame of its last link, or one by leg; None: from the description.
         forward: Direction of the robot's front in the frame of the first link, a key of `FORWARD`.
         servo: Model of the servos; None: the nearest by torque.
 
@@ -68,7 +70,9 @@ def import_profile(
             value does not fit a profile.
     """
     try:
-        return _import(description, names, None if foot is None else np.array(foot, dtype=np.float64), forward, servo)
+        given = foot if isinstance(foot, Mapping) else {} if foot is None else dict.fromkeys(LEGS, foot)
+        feet = {leg: np.array(place, dtype=np.float64) for leg, place in given.items()}
+        return _import(description, names, feet, forward, servo)
     except SextantError:
         raise
     except ValueError as error:
@@ -78,14 +82,14 @@ def import_profile(
 def _import(
     description: RobotDescription,
     names: Mapping[str, Sequence[str]] | None,
-    foot: Array | None,
+    feet: Mapping[str, Array],
     forward: str,
     servo: str | None,
 ) -> ImportedProfile:
     movable = None if names is None else frozenset(name for chain in names.values() for name in chain)
     bodies = DescribedBodies(description, FORWARD[forward], movable)
     chains = ordered(bodies, chains_of(bodies)) if names is None else named_chains(bodies, names)
-    described = [leg_of(bodies, leg, chain, foot) for leg, chain in zip(LEGS, chains, strict=True)]
+    described = [leg_of(bodies, leg, chain, feet.get(leg)) for leg, chain in zip(LEGS, chains, strict=True)]
     notes: list[str] = []
     origin, size = _trunk(bodies, described, notes)
     data = _servo([joint for chain in chains for joint in chain], servo, notes)
@@ -105,19 +109,27 @@ def _import(
     )
     profile = replace(profile, stance=proposed_stance(profile))
     notes.append("servo ids are 1 to 18, horns and signs those of the description: `sextant servos calibrate` measures them")
-    error = _foot_error(bodies, chains, described, foot, profile, origin)
+    error = _foot_error(bodies, chains, described, feet, profile, origin)
     joints = {leg: chain.joints for leg, chain in zip(LEGS, described, strict=True)}
     return ImportedProfile(profile, joints, tuple(notes), error)
 
 
-def joint_names(path: Path) -> dict[str, list[str]]:
-    """Read a table of joint names: coxa, femur and tibia joint of each leg, such as `"left front" = ["a", "b", "c"]`.
+class LegTable(NamedTuple):
+    """Legs of a description as a user states them."""
+
+    joints: dict[str, list[str]]  # names of coxa, femur and tibia joint by leg
+    feet: dict[str, list[float]]  # (3,) [m] {last link} centres of the feet by leg; empty if not stated
+
+
+def read_legs(path: Path) -> LegTable:
+    """Read a table of legs: their joints, such as `"left front" = ["a", "b", "c"]`, and feet in a table `[feet]`.
 
     Raises:
         DescriptionError: It is not such a table.
         FileError: The file cannot be read.
     """
     table = input_file.read_toml(path)
+    feet = table.pop("feet", {})
     if unknown := [key for key in table if key not in LEGS]:
         raise DescriptionError(f"{path}: no leg {unknown[0]!r}; {hint(unknown[0], LEGS)}")
     for leg in LEGS:
@@ -127,7 +139,12 @@ def joint_names(path: Path) -> dict[str, list[str]]:
     names = [name for leg in LEGS for name in table[leg]]
     if twice := [name for name in names if names.count(name) > 1]:
         raise DescriptionError(f"{path}: each joint once expected, found {twice[0]!r} twice")
-    return {leg: table[leg] for leg in LEGS}
+    if not isinstance(feet, dict) or (feet and feet.keys() != set(LEGS)):
+        raise DescriptionError(f"{path}: feet: a table with the foot of each leg expected, found {feet!r:.60}")
+    for leg, place in feet.items():
+        if not (isinstance(place, list) and len(place) == 3 and all(type(p) in (int, float) and abs(p) < 10 for p in place)):
+            raise DescriptionError(f"{path}: feet: {leg}: its centre [x, y, z] in metres expected, found {place!r:.60}")
+    return LegTable({leg: table[leg] for leg in LEGS}, feet)
 
 
 def _horns(described: Sequence[DescribedLeg], most: float, notes: list[str]) -> Array:
@@ -181,7 +198,11 @@ def _leg(k: int, leg: DescribedLeg, horns: Array, most: float, origin: Array) ->
 
 def _servo(joints: Sequence[DescribedJoint], model: str | None, notes: list[str]) -> Servo:
     """Return the servo: its model's data, with torque, speed, friction and armature of the description where it states them."""
-    torques, speeds = [joint.effort for joint in joints if joint.effort > 0], [j.speed for j in joints if j.speed > 0]
+    efforts, velocities = [joint.effort for joint in joints], [joint.speed for joint in joints]
+    torques, speeds = [t for t in efforts if 0 < t < _NO_SERVO_NM], [v for v in velocities if 0 < v < _NO_SERVO_RAD_S]
+    for values, those, unit in ((efforts, torques, "N m"), (velocities, speeds, "rad/s")):
+        if not those and max(values, default=0.0) > 0:
+            notes.append(f"no servo has {max(values):g} {unit}: the value of the servo model is used")
     torque = round(float(np.median(torques)), _OTHER_DIGITS) if torques else None
     if model is not None and model not in MODEL_NAMED:
         raise DescriptionError(f"no servo model {model!r}; {hint(model, list(MODEL_NAMED))}")
@@ -267,7 +288,7 @@ def _foot_error(
     bodies: DescribedBodies,
     chains: Sequence[Sequence[DescribedJoint]],
     described: Sequence[DescribedLeg],
-    foot: Array | None,
+    feet_given: Mapping[str, Array],
     profile: RobotProfile,
     origin: Array,
 ) -> float:
@@ -276,7 +297,7 @@ def _foot_error(
     angles = rng.uniform(profile.joint_limits[..., 0], profile.joint_limits[..., 1], (_POSES, 6, 3))
     feet = body_forward(profile, angles)
     for k, (name, chain, leg) in enumerate(zip(LEGS, chains, described, strict=True)):
-        start = foot_at_zero(bodies, name, chain, foot)
+        start = foot_at_zero(bodies, name, chain, feet_given.get(name))
         for q, p in zip(angles[:, k], feet[:, k], strict=True):
             there = foot_position(bodies, chain, start, leg.signs * (q - leg.zeros)) - origin
             worst = max(worst, float(np.linalg.norm(there - p)))

@@ -149,6 +149,12 @@ def test_operator_orders_stand_then_walk_and_repeats_orders():
     assert first_velocity >= walks[0] >= 1_000_000_000  # the robot had risen
 
 
+def test_operator_commands_height_of_stance_if_robot_does_not_reach_that_of_scenario():
+    walk = replace(SCENARIO.walk, body_height=0.2)
+    operator = Operator(PROFILE, replace(SCENARIO, walk=walk))
+    assert operator._walk == replace(walk, body_height=PROFILE.stance.body_height)
+
+
 def test_operator_walks_robot_to_goal_and_stops():
     robot = Robot().run()
     assert robot.operator.finished

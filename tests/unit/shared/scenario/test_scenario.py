@@ -147,7 +147,7 @@ def test_unknown_name_lists_known_ones() -> None:
         ({"movers": [LEGS | {"path": [[1, 0], [1, 0]]}]}, r"movers\[0\].path: corners of which no two neighbours coincide"),
         ({"movers": [LEGS | {"path": [[1, 0], [1e9, 0]]}]}, r"movers\[0\].path: corners within 50 m"),
         ({"movers": [LEGS | {"strides": 1}]}, r"movers\[0\].strides: unknown key; did you mean 'stride'"),
-        ({"movers": [LEGS | {"height": 0.1}]}, r"movers\[0\]: height: a height of more than two radii and the lift"),
+        ({"movers": [LEGS | {"height": 0.1}]}, r"movers\[0\].height: a height of more than two radii and the lift"),
         ({"movers": [LEGS | {"start_s": -1}]}, r"movers\[0\].start_s: 0 to 86400 s expected"),
         ({"movers": [CART | {"size": [1, 0, 1]}]}, r"movers\[0\].size\[1\]: more than 0 and at most 3 m"),
         ({"camera": {"loss": 1.5}}, "camera: a loss from 0 to 1 expected"),

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.shared.geometry import exp_so3, rotation_z, transform
-from sextant.shared.robot.description.profile_import import import_profile, joint_names
+from sextant.shared.robot.description.profile_import import import_profile, read_legs
 from sextant.shared.robot.description.robot_description import (
     DescribedJoint,
     DescribedLink,
@@ -183,7 +183,7 @@ def test_table_of_joints_names_legs_and_leaves_other_hinges_out(tmp_path: Path) 
     lines = [f'"{leg}" = {[leg.replace(" ", "_") + "_" + part for part in parts]}' for leg in LEGS]
     path = tmp_path / "joints.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
-    found = import_profile(with_mast, joint_names(path))
+    found = import_profile(with_mast, read_legs(path).joints)
     assert found.profile.body.mass == pytest.approx(1.5)
     assert found.foot_error < 1e-9
     for bad, words in (
@@ -193,10 +193,42 @@ def test_table_of_joints_names_legs_and_leaves_other_hinges_out(tmp_path: Path) 
     ):
         path.write_text("\n".join(bad), encoding="utf-8")
         with pytest.raises(DescriptionError, match=words):
-            joint_names(path)
+            read_legs(path)
     path.write_text("\n".join(lines).replace("left_front_femur", "left_front_femurr"), encoding="utf-8")
     with pytest.raises(DescriptionError, match="no hinge 'left_front_femurr'; did you mean 'left_front_femur'"):
-        import_profile(with_mast, joint_names(path))
+        import_profile(with_mast, read_legs(path).joints)
+
+
+def test_feet_of_a_table_may_differ_between_legs(tmp_path: Path) -> None:
+    """Last links with frames of any yaw, and meshes only: no one point is the foot of all legs."""
+    whole = described(PROFILE)
+    bare = {name: replace(link, marks={}) for name, link in whole.links.items()}
+    joints, feet = [], ["[feet]"]
+    turned = list(whole.joints)
+    for k, leg in enumerate(LEGS):
+        name = leg.replace(" ", "_")
+        joints.append(f'"{leg}" = {[f"{name}_{part}" for part in ("coxa", "femur", "tibia")]}')
+        at = next(i for i, joint in enumerate(turned) if joint.name == f"{name}_tibia")
+        turn = np.eye(4)
+        turn[:3, :3] = exp_so3(np.array([0.3 * k, -0.2 * k, 0.5 * k]))
+        # The joint's frame turns, and its axis and foot are given in the turned frame.
+        axis = turned[at].axis
+        assert axis is not None
+        turned[at] = replace(turned[at], T_parent_child=turned[at].T_parent_child @ turn, axis=turn[:3, :3].T @ axis)
+        feet.append(f'"{leg}" = {(turn[:3, :3].T @ [PROFILE.links.tibia, 0.0, 0.0]).tolist()}')
+    path = tmp_path / "legs.toml"
+    path.write_text("\n".join([*joints, *feet]), encoding="utf-8")
+    legs = read_legs(path)
+    found = import_profile(replace(whole, links=bare, joints=tuple(turned)), legs.joints, legs.feet)
+    assert found.profile.links == PROFILE.links
+    assert found.foot_error < 1e-6
+    for bad, words in (
+        (feet[:-1], "feet: a table with the foot of each leg expected"),
+        ([*feet[:-1], f'"{LEGS[-1]}" = [0.1, "a", 0.0]'], r"its centre \[x, y, z\] in metres expected"),
+    ):
+        path.write_text("\n".join([*joints, *bad]), encoding="utf-8")
+        with pytest.raises(DescriptionError, match=words):
+            read_legs(path)
 
 
 @pytest.mark.parametrize(
