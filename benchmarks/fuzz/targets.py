@@ -25,8 +25,9 @@ from sextant.services.console.web.connection import SOCKET, Connection
 from sextant.services.console.web.origin_policy import PROTOCOL, OriginPolicy, RejectionLog
 from sextant.services.console.web.pages import Page
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.servo import bridge_protocol, framing
+from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
+from sextant.shared.servo.firmware import framing
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.codec import DecodeError
 
@@ -122,8 +123,8 @@ def _wire_messages() -> list[bytes]:
         bridge_protocol.Goals(7, 1, 10**6, 100, many, many),
         bridge_protocol.Torque(7, 2, 10**6, 1),
         bridge_protocol.Limits(7, 3, 10**6, many),
-        bridge_protocol.Ask(7, 4, 10**6, 3, 2, b"\x24\x08"),
-        bridge_protocol.Welcome(bridge_protocol.VERSION, 7, 9, 10**6, "reference board"),
+        bridge_protocol.Ask(7, 4, 10**6, 3, 2, 36, 8, b""),
+        bridge_protocol.Welcome(bridge_protocol.VERSION, 7, 9, 10**6, "reference board", "AX-12A"),
         bridge_protocol.State(
             7,
             1,

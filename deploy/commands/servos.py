@@ -396,7 +396,8 @@ def _bridge(port: str, profile: "RobotProfile") -> "Bridge":
     from sextant.services.actuator.servo_bus.bus_driver import open_port
     from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 
-    return Bridge(open_port(port, timeout_ns=READ_NS), list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)
+    names, model = profile.servo_names, profile.servo_model
+    return Bridge(open_port(port, timeout_ns=READ_NS), list(names), time.monotonic_ns, model=model, names=names)
 
 
 def patience_ns(rate: int) -> int:

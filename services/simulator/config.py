@@ -9,7 +9,7 @@ class Settings:
 
     scenario: str = "steps"  # name of a scenario, or path of a TOML file
     seed: int = 0
-    bridge: bool = False  # simulate a bridge board with the reference firmware between the port and the servo bus
+    bridge: bool = False  # simulate a bridge board with the firmware between the port and the servo bus
     bus_port: int = 0  # TCP port on 127.0.0.1 on which the servo bus listens, 0 for any
     other_bus_port: int = 0  # TCP port of the bus after a fault that changes its device name, 0 for any
     viewer: bool = False  # open MuJoCo's viewer, in which the mouse pushes the robot

@@ -109,7 +109,9 @@ class Simulator:
         self._bank = self._switch_on(profile, scenario, seeds[5])
         self._bank.set_joint_state(*self._joints())
         self.bus = self._wired(scenario)
-        self.device: Board | BusFaults = Board(self.bus) if settings.bridge else self.bus  # device at the actuator's port
+        self.device: Board | BusFaults = self.bus  # device at the actuator's port
+        if settings.bridge:
+            self.device = Board(self.bus, model=self._bank.model)
         self._adapter_port = self.bus.adapter_port(0)
         self._fault_refused = ""
         self._server: TcpBusServer | None = None

@@ -83,20 +83,25 @@ class Octets(Kind):
 
 @dataclass(frozen=True)
 class Words(Kind):
-    """Integers of two bytes each, little-endian, sent as raw bytes."""
+    """Integers of two bytes each, little-endian, sent as raw bytes; in two's complement if some are negative."""
 
+    low: int
     high: int
     most: int
 
     def to_wire(self, value: Any) -> bytes:
         """Return the numbers as bytes, two per number."""
         whole = type(value) is tuple and len(value) <= self.most and all(type(v) is int for v in value)
-        if not whole or (value and not 0 <= min(value) <= max(value) <= self.high):
-            raise ValueError(f"at most {self.most} whole numbers from 0 to {self.high} expected, found {value!r:.40}")
-        return struct.pack(f"<{len(value)}H", *value)
+        if not whole or (value and not self.low <= min(value) <= max(value) <= self.high):
+            raise ValueError(f"at most {self.most} whole numbers from {self.low} to {self.high} expected, found {value!r:.40}")
+        return struct.pack(f"<{len(value)}{self._code}", *value)
 
     def from_wire(self, plain: Any) -> tuple[int, ...]:
         """Return the numbers encoded in bytes."""
         if type(plain) is not bytes or len(plain) % 2:
             raise ValueError(f"bytes of two-byte numbers expected, found {plain!r:.40}")
-        return struct.unpack(f"<{len(plain) // 2}H", plain)
+        return struct.unpack(f"<{len(plain) // 2}{self._code}", plain)
+
+    @property
+    def _code(self) -> str:
+        return "h" if self.low < 0 else "H"

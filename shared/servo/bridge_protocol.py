@@ -2,8 +2,9 @@
 
 docs/bridge.md describes it.
 
-    frame of shared.framing( msgpack array )        array = [type, field, field ...]
+    frame of firmware.framing( msgpack array )        array = [type, field, field ...]
 
+Constants and frames are those of the firmware, which decodes and encodes the same messages on a board.
 Every received field is checked, and nothing is repaired. The module has no port and no clock; times are arguments.
 """
 
@@ -13,18 +14,38 @@ from enum import IntEnum
 from typing import Annotated, Any, ClassVar, get_type_hints
 
 from sextant.shared.servo.bridge_fields import Choice, Kind, Octets, Text, Whole, Words
-from sextant.shared.servo.dynamixel import MAX_ID, TABLE_SIZE, TICK_MAX
-from sextant.shared.servo.framing import MAX_PAYLOAD, Deframer, frame
+from sextant.shared.servo.firmware.framing import MAX_PAYLOAD, Deframer, frame
+from sextant.shared.servo.firmware.wire import (
+    AGE_UNIT_US,
+    ANGLE_RAD,
+    LOAD,
+    MAX_ID,
+    MAX_LIFETIME_MS,
+    MAX_NAME,
+    MAX_SERVOS,
+    MAX_TABLE,
+    MIN_LIFETIME_MS,
+    NEVER,
+    ORDER_LIFETIME_MS,
+    SIGNED_MAX,
+    SPEED_RAD_S,
+    VERSION,
+    VOLT,
+)
 from sextant.shared.wire.codec import DecodeError, pack_values, unpack_values
 
-VERSION = 1
-MAX_SERVOS = 24
-MAX_NAME = 32  # [characters]
-LIFETIME_MS = (20, 1000)  # [ms] allowed lifetime of goals
-ORDER_LIFETIME_MS = 200  # [ms] older commands except goals are refused; torque off is always accepted
-AGE_UNIT_US = 100  # [us] unit of an age in a state
-SIGNED_MAX = 0x7FF  # maximum of a speed or load: magnitude, with bit 10 for clockwise
-NEVER = 0xFFFF  # age of a value that has not been measured yet
+__all__ = [
+    "AGE_UNIT_US",
+    "ANGLE_RAD",
+    "LOAD",
+    "MAX_SERVOS",
+    "NEVER",
+    "ORDER_LIFETIME_MS",
+    "SIGNED_MAX",
+    "SPEED_RAD_S",
+    "VERSION",
+    "VOLT",
+]
 
 
 class Mode(IntEnum):
@@ -71,7 +92,7 @@ _REFUSAL_WORDS = {
     Refusal.COUNT: "values for another number of servos than the session has",
     Refusal.NO_GOALS: "torque on without fresh goals",
     Refusal.FAR: "torque on with a goal far from its servo's position, or with a servo that does not answer",
-    Refusal.QUESTION: "a request or a write that is not passed on; torque has a separate order",
+    Refusal.QUESTION: "a request that is not passed on; torque has a separate order",
     Refusal.BUSY: "more requests than can wait",
     Refusal.VERSION: "a hello of another version",
 }
@@ -85,6 +106,15 @@ class Result(IntEnum):
     REFUSED = 2  # by the microcontroller; its state has the reason
 
 
+class Instruction(IntEnum):
+    """Instruction of a request."""
+
+    PING = 1
+    READ = 2
+    WRITE = 3
+    REBOOT = 8  # servos with Protocol 2.0 only
+
+
 REFUSED = "message refused"  # a reason in the counter of dropped frames
 
 
@@ -95,12 +125,12 @@ U16 = Annotated[int, Whole(0, 0xFFFF)]
 U32 = Annotated[int, Whole(0, 0xFFFF_FFFF)]
 U64 = Annotated[int, Whole(0, (1 << 64) - 1)]
 Session = Annotated[int, Whole(1, 0xFFFF_FFFF)]
-Ticks = Annotated[tuple[int, ...], Words(TICK_MAX, MAX_SERVOS)]
-SignedTicks = Annotated[tuple[int, ...], Words(SIGNED_MAX, MAX_SERVOS)]
-Ages = Annotated[tuple[int, ...], Words(NEVER, MAX_SERVOS)]  # [0.1 ms]
+Signed = Annotated[tuple[int, ...], Words(-SIGNED_MAX, SIGNED_MAX, MAX_SERVOS)]
+Unsigned = Annotated[tuple[int, ...], Words(0, SIGNED_MAX, MAX_SERVOS)]
+Ages = Annotated[tuple[int, ...], Words(0, NEVER, MAX_SERVOS)]  # [0.1 ms]
 PerServo = Annotated[bytes, Octets(MAX_SERVOS)]
 Ids = Annotated[bytes, Octets(MAX_SERVOS, MAX_ID)]
-Table = Annotated[bytes, Octets(TABLE_SIZE)]
+Table = Annotated[bytes, Octets(MAX_TABLE)]
 
 
 # ------------------------------------------------------------------------------------------------------------- messages
@@ -147,9 +177,11 @@ class Goals(Message):
     session: Session
     sequence: U32  # of commands, increasing
     time_us: U64  # [us] when the goals were computed, host's clock
-    lifetime_ms: Annotated[int, Whole(*LIFETIME_MS)]  # [ms] age from which goals are refused, or no longer fresh
-    position: Ticks
-    speed: Ticks  # [0.111 rpm] 0 for uncontrolled speed
+    lifetime_ms: Annotated[
+        int, Whole(MIN_LIFETIME_MS, MAX_LIFETIME_MS)
+    ]  # [ms] age from which goals are refused, or no longer fresh
+    position: Signed  # [0.1 mrad] servo angles, counterclockwise positive
+    speed: Unsigned  # [1 mrad/s] 0 for uncontrolled speed
 
     def _agree(self) -> None:
         _same_length(self, "position", "speed")
@@ -177,14 +209,14 @@ class Limits(Message):
     session: Session
     sequence: U32
     time_us: U64
-    limit: Ticks  # [0.1 %] of the stall torque
+    limit: Unsigned  # [0.1 %] of the stall torque
 
 
 @dataclass(frozen=True, slots=True)
 class Ask(Message):
-    """Instruction for one servo: ping, read or write.
+    """Instruction for one servo: ping, read, write or reboot.
 
-    The microcontroller sends it to the bus; it is for commissioning and repair.
+    The microcontroller sends it to the bus in the packets of its protocol; it is for commissioning and repair.
     """
 
     code = 5
@@ -192,8 +224,10 @@ class Ask(Message):
     sequence: U32
     time_us: U64
     servo_id: Annotated[int, Whole(0, MAX_ID)]
-    instruction: U8
-    parameters: Table
+    instruction: U8  # of `Instruction`; the microcontroller refuses others
+    address: U16  # of a read or write
+    size: Annotated[int, Whole(0, MAX_TABLE)]  # [bytes] of a read
+    data: Table  # of a write
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,6 +245,7 @@ class Welcome(Message):
     boot: U32  # differs after every start
     time_us: U64  # [us] microcontroller's clock
     name: Annotated[str, Text(MAX_NAME)]  # of board and firmware
+    servo: Annotated[str, Text(MAX_NAME)]  # model of all servos, by the board's configuration
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,18 +258,18 @@ class State(Message):
     time_us: U64  # [us] when the state was assembled, microcontroller's clock
     mode: Annotated[Mode, Choice(Mode)]
     heard: U32  # sequence of the newest accepted command
-    goals_age_ms: U16  # [ms] since the newest goals were accepted, NEVER without goals
+    goals_age: U16  # [0.1 ms] since the newest goals were accepted, NEVER without goals
     refusal: Annotated[Refusal, Choice(Refusal)]  # of the newest refused command
     refused: U32  # number of refused commands
     broken: U32  # number of invalid frames from the host
     silent: U32  # number of requests without a response from the servo
     garbled: U32  # number of servo packets that were broken or unexpected
-    position: Ticks
-    speed: SignedTicks  # [0.111 rpm]
-    load: SignedTicks  # [0.1 %] of the stall torque
+    position: Signed  # [0.1 mrad] servo angles; these and the next two are counterclockwise positive
+    speed: Signed  # [1 mrad/s]
+    load: Signed  # [0.1 %] of the stall torque
     voltage: PerServo  # [0.1 V]
     temperature: PerServo  # [deg C]
-    error: PerServo  # error bits
+    error: PerServo  # bits of `ServoError`, for servos of any protocol
     age: Ages  # [0.1 ms] since each servo was read, NEVER without a response
 
     def _agree(self) -> None:
@@ -249,7 +284,7 @@ class Answer(Message):
     session: Session
     sequence: U32  # of the `Ask`
     result: Annotated[Result, Choice(Result)]
-    error: U8  # error bits of the servo's status packet
+    error: U8  # of the servo's status packet, as its protocol has it
     data: Table
 
 
@@ -348,7 +383,7 @@ class Receiver:
     @property
     def dropped(self) -> Counter[str]:
         """Number of broken or refused frames, by reason."""
-        return self._frames.broken + Counter({REFUSED: self.refused})
+        return Counter(self._frames.broken) + Counter({REFUSED: self.refused})
 
     @property
     def pending(self) -> int:

@@ -17,6 +17,7 @@ FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over 
 _REFERENCE_MASS_KG = 2.5  # [kg] mass of the robot to which the limits of the parameters refer
 _MAX_READING_GAP = 2.5  # [periods] maximum time between two readings from which the acceleration of the leg is computed
 _BALANCE = 0.4  # [periods] time after goals are sent to which loads are converted, because the torque balance holds then
+_EARLY = 0.6  # [periods] time after goals below which a reading's acceleration is that of the earlier goals, too
 _TRANSMISSION_NS = 5_000_000  # [ns] time after goals are sent within which a servo may not have received them yet
 _MIN_TORQUE_CHANGE_NM = 0.1  # [N m] least torque difference of two goals that a reading tells apart; ticks cause half of it
 _LATE = 1.5  # [periods] maximum age of a recent reading
@@ -121,7 +122,8 @@ class TouchdownDetector:
     def _load_at_balance(self, leg: int, femur: FemurReading) -> float:
         """Return a femur's motor torque [N m] when the torque balance holds.
 
-        A servo read right after new goals may not have received them yet; its spring torque shows which goal it follows.
+        A servo read right after new goals may not have received them yet; its spring torque shows which goal it follows. A
+        reading in the first half of a period, as of a microcontroller, is converted to the mean goal since the reading before.
         """
         servo, goal = self._profile.servo, self._goal[leg]
         since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), self.period_ns)
@@ -133,7 +135,10 @@ class TouchdownDetector:
             and abs(femur.load - old) < abs(femur.load - new)
         ):
             since_ns, goal, new = since_ns + self.period_ns, before, old
-        then = _spring_torque(servo, goal, femur.angle + femur.speed * (_BALANCE * self.period_ns - since_ns) * 1e-9)
+        delay_ns = since_ns - _BALANCE * self.period_ns
+        if _TRANSMISSION_NS <= since_ns < _EARLY * self.period_ns:
+            goal, delay_ns = before + (goal - before) * since_ns / self.period_ns, 0.5 * self.period_ns
+        then = _spring_torque(servo, goal, femur.angle - femur.speed * delay_ns * 1e-9)
         return femur.load + then - new
 
     def forget(self, legs: NDArray[np.bool_]) -> None:

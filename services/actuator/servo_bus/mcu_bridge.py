@@ -21,13 +21,25 @@ from sextant.services.actuator.servo_bus.bus_driver import (
     reading,
     whole,
 )
-from sextant.services.actuator.servo_bus.reading_validation import state_decoder
+from sextant.services.actuator.servo_bus.reading_validation import State as Registers
 from sextant.shared.servo import bridge_protocol
-from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.bridge_protocol import Answer, Message, Mode, Receiver, RemoteClock, Result, State, Welcome
-from sextant.shared.servo.dynamixel import PacketParser
+from sextant.shared.servo.bridge_protocol import (
+    ANGLE_RAD,
+    LOAD,
+    SPEED_RAD_S,
+    VOLT,
+    Answer,
+    Instruction,
+    Message,
+    Mode,
+    Receiver,
+    RemoteClock,
+    Result,
+    State,
+    Welcome,
+)
 from sextant.shared.servo.models import AX_12A
-from sextant.shared.servo.servo_model import Register, ServoError, ServoModel
+from sextant.shared.servo.servo_model import Kind, Register, ServoError, ServoModel
 
 READ_NS = 1_000_000  # [ns] longest wait of one read of the port
 _LIFETIME_MS = 200  # [ms] validity of goals
@@ -41,6 +53,12 @@ _CYCLE_NS = 20_000_000  # [ns] in which the bridge reads every servo
 _OTHER_GOALS_US = 5_000  # [us] after the newest goals from which goals count as newer ones
 _NEVER_US = -1_000_000_000  # [us] long ago
 _NS_PER_US = 1_000
+_INSTRUCTIONS = {
+    Kind.PING: Instruction.PING,
+    Kind.READ: Instruction.READ,
+    Kind.WRITE: Instruction.WRITE,
+    Kind.REBOOT: Instruction.REBOOT,
+}
 
 
 class Bridge:
@@ -62,7 +80,7 @@ class Bridge:
             port: Open port whose read timeout is about `READ_NS`.
             servo_ids: At most 24 ids, 0 to 253, all different.
             clock: Monotonic time [ns]; of an emulated port, the port's own.
-            model: The servo type that `setup` expects.
+            model: The servo type, for which the board must be configured.
             names: Leg and joint of each id, for messages.
             lock: `setup` locks the EEPROM of the servos, see `ServoBus`.
 
@@ -78,7 +96,7 @@ class Bridge:
         self._port = port
         self._clock = clock
         self._receiver = Receiver(bridge_protocol.TO_HOST)
-        self.model, self._decode = model, state_decoder(model)
+        self.model, self._table = model, model.table
         questions = _Questions(self)
         self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self.servo_ids = self._registers.servo_ids
@@ -90,6 +108,7 @@ class Bridge:
         self._state_ns = clock()  # when the newest state arrived, or when waiting for the first one began
         self._greeted_ns = clock()
         self._welcomed = False
+        self._welcome: Welcome | None = None  # the newest
         self._answer: Answer | None = None  # the newest
         self._fresh: dict[int, ServoReading] = {}  # unread readings, by index in the list
         self._read_ns = [-1] * n  # stamp of the newest reading
@@ -170,7 +189,7 @@ class Bridge:
         Torque and limits stay as they are.
 
         Raises:
-            BusSetupError: No bridge answers, its version differs, or servos are missing or wrong; all are named.
+            BusSetupError: No bridge answers, its version or servo type differs, or servos are missing or wrong; all are named.
             BusDisconnectedError: The port is gone.
         """
         self.open_session()
@@ -180,12 +199,12 @@ class Bridge:
         """Open a session; the servos and their goals stay as they are.
 
         Raises:
-            BusSetupError: No bridge answers, or its version differs.
+            BusSetupError: No bridge answers, or its version or servo type differs.
             BusDisconnectedError: The port is gone.
         """
         self._session = self._clock() // _NS_PER_US % 0xFFFF_FFFF + 1  # differs from the last session
         self._sequence = 0
-        self._welcomed = False
+        self._welcomed, self._welcome = False, None
         self._greet()
         until = self._clock() + _HELLO_NS
         while not self._welcomed:
@@ -195,6 +214,11 @@ class Bridge:
                 raise BusSetupError(
                     f"the bridge uses protocol version {found}, version {bridge_protocol.VERSION} expected; "
                     f"flash firmware of version {bridge_protocol.VERSION}, see docs/bridge.md"
+                )
+            if self._welcome is not None and self._welcome.servo != self.model.name:
+                raise BusSetupError(
+                    f"the bridge drives servos {self._welcome.servo}, the profile has {self.model.name}; "
+                    f"set SERVO in the board's config.py, or `model` in the profile's table [servo]"
                 )
             if self._clock() >= until:
                 raise BusSetupError(
@@ -213,7 +237,7 @@ class Bridge:
     def write(self, servo_id: int, register: Register, value: int) -> bool:
         """Write one register; return whether it is acknowledged.
 
-        The bridge refuses to turn torque on this way.
+        The bridge refuses to turn torque on this way, unless torque is ordered on and the servo is near its goal.
 
         Raises:
             ValueError: The value is outside the register's range.
@@ -230,8 +254,8 @@ class Bridge:
         """Send every servo its goal position and moving speed, valid for 200 ms.
 
         Args:
-            goal_ticks: (n,) goal positions, 0 to 1023.
-            speed_ticks: (n,) or one moving speed, 0 to 1023 of 0.111 rpm, 0 for uncontrolled.
+            goal_ticks: (n,) goal position registers of the model.
+            speed_ticks: (n,) or one goal speed register, 0 for no limit.
 
         Raises:
             ValueError: A value out of range, not a whole number, or of another shape.
@@ -241,8 +265,10 @@ class Bridge:
         if self._goals_ns < 0 or now_ns - self._goals_ns > _SILENT_NS:
             self._goals_since_ns = now_ns
         self._goals_ns = now_ns
-        goals, speeds = self._whole(goal_ticks, dxl.GOAL_POSITION), self._whole(speed_ticks, dxl.MOVING_SPEED)
-        self._send(bridge_protocol.Goals(*self._head(), _LIFETIME_MS, goals, speeds))
+        units = self.model.units
+        angles = (self._whole(goal_ticks, self._table.goal_position) - units.centre) * (units.tick_rad / ANGLE_RAD)
+        speeds = self._whole(speed_ticks, self._table.goal_speed) * (units.speed_rad_s / SPEED_RAD_S)
+        self._send(bridge_protocol.Goals(*self._head(), _LIFETIME_MS, _rounded(angles), _rounded(speeds)))
 
     def set_torque(self, enabled: bool) -> None:
         """Turn the torque of all servos on or off; off is repeated until it is done.
@@ -253,11 +279,12 @@ class Bridge:
         self._order_torque()
 
     def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
-        """Set Torque Limit, (n,) or one for all, 0 to 1023 of the stall torque.
+        """Set the torque limit register, (n,) or one for all.
 
         This ends the shutdown of an overloaded or hot servo, so call it only on an operator's order.
         """
-        self._send(bridge_protocol.Limits(*self._head(), self._whole(limit_ticks, dxl.TORQUE_LIMIT)))
+        shares = self._whole(limit_ticks, self._table.torque_limit) * (self.model.units.torque / LOAD)
+        self._send(bridge_protocol.Limits(*self._head(), _rounded(shares)))
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Return new readings since the last call, at most ten milliseconds old.
@@ -299,13 +326,13 @@ class Bridge:
 
     # ------------------------------------------------------------------------------------------------- below the words
 
-    def ask(self, servo_id: int, instruction: int, parameters: bytes) -> int:
+    def ask(self, servo_id: int, instruction: int, address: int = 0, size: int = 0, data: bytes = b"") -> int:
         """Forward an instruction to one servo; return the number of the request.
 
         Raises:
             BusDisconnectedError: The port is gone.
         """
-        self._send(bridge_protocol.Ask(*self._head(), servo_id, instruction, parameters))
+        self._send(bridge_protocol.Ask(*self._head(), servo_id, int(instruction), address, size, data))
         return self._sequence
 
     def answer(self, question: int) -> Answer | None:
@@ -332,9 +359,8 @@ class Bridge:
     def _order_torque(self) -> None:
         self._send(bridge_protocol.Torque(*self._head(), int(bool(self._torque))))
 
-    def _whole(self, values: ArrayLike, register: Register) -> tuple[int, ...]:
-        found = whole(values, register, len(self))
-        return tuple(np.broadcast_to(found, (len(self),)).tolist())
+    def _whole(self, values: ArrayLike, register: Register) -> NDArray[np.int64]:
+        return np.broadcast_to(whole(values, register, len(self)), (len(self),))
 
     def _send(self, message: Message) -> None:
         try:
@@ -366,7 +392,9 @@ class Bridge:
             self.state = None
             self._measured_us = [-_NEW_US - 1] * len(self)
             self._taken_us = (_NEVER_US, _NEVER_US)
-        self._welcomed = welcome.session == self._session
+        if welcome.session == self._session:
+            self._welcome = welcome
+        self._welcomed = welcome.session == self._session and welcome.servo == self.model.name
 
     def _take(self, state: State) -> None:
         """Accept a newer state of this session with the right number of servos."""
@@ -388,10 +416,10 @@ class Bridge:
     def _note_goals(self, state: State) -> None:
         """Store when the microcontroller accepted the newest goals.
 
-        The time is in milliseconds, rounded down.
+        The age is rounded down.
         """
-        if state.goals_age_ms != bridge_protocol.NEVER:
-            taken_us = state.time_us - 1000 * state.goals_age_ms - 500
+        if state.goals_age != bridge_protocol.NEVER:
+            taken_us = state.time_us - bridge_protocol.AGE_UNIT_US * state.goals_age - bridge_protocol.AGE_UNIT_US // 2
             if taken_us - self._taken_us[1] > _OTHER_GOALS_US:
                 self._taken_us = (self._taken_us[1], taken_us)
 
@@ -408,11 +436,23 @@ class Bridge:
         before_us, newest_us = self._taken_us
         told_us = newest_us if measured_us >= newest_us else before_us
         told_ns = self._read_ns[index] - (measured_us - told_us) * _NS_PER_US
-        columns = (state.position, state.speed, state.load, state.voltage, state.temperature)
-        error = ServoError(state.error[index])
-        decoded = self._decode(self._read_ns[index], tuple(column[index] for column in columns), int(error))
+        units, error = self.model.units, ServoError(state.error[index])
+        registers = Registers(
+            stamp_ns=self._read_ns[index],
+            position=units.ticks(state.position[index] * ANGLE_RAD),
+            speed=round(state.speed[index] * SPEED_RAD_S / units.speed_rad_s),
+            load=round(state.load[index] * LOAD / units.load),
+            voltage=round(state.voltage[index] * VOLT / units.volt),
+            temperature=state.temperature[index],
+            error=int(error),
+        )
         self._fresh.pop(index, None)  # keep the order of reading
-        self._fresh[index] = reading(index, self.servo_ids[index], told_ns, decoded, error, self.model.units)
+        self._fresh[index] = reading(index, self.servo_ids[index], told_ns, registers, error, units)
+
+
+def _rounded(values: NDArray[np.floating]) -> tuple[int, ...]:
+    """Return values (n,) as whole numbers, limited to the range of the wire."""
+    return tuple(np.clip(np.rint(values), -bridge_protocol.SIGNED_MAX, bridge_protocol.SIGNED_MAX).astype(int).tolist())
 
 
 class _Questions:
@@ -420,12 +460,17 @@ class _Questions:
 
     def __init__(self, asked: Bridge) -> None:
         self._bridge = asked
-        self._parser = PacketParser()
+        self._protocol = asked.model.protocol
+        self._parser = self._protocol.instruction_parser()
         self._open: tuple[int, int] | None = None  # servo and number of the pending request
 
     def write(self, data: bytes, /) -> int:
         for packet in self._parser.feed(data):
-            self._open = packet.servo_id, self._bridge.ask(packet.servo_id, packet.code, packet.parameters)
+            request = self._protocol.request(packet)
+            if request is not None and request.kind in _INSTRUCTIONS:
+                size = request.size if request.kind is Kind.READ else 0
+                number = self._bridge.ask(packet.servo_id, _INSTRUCTIONS[request.kind], request.address, size, request.data)
+                self._open = packet.servo_id, number
         return len(data)
 
     def read(self, size: int = 1, /) -> bytes:
@@ -436,7 +481,7 @@ class _Questions:
         answer = self._bridge.answer(question)
         if answer is None or answer.result is not Result.ANSWERED:
             return b""
-        return dxl.status(servo_id, answer.error, answer.data)
+        return self._protocol.status(servo_id, answer.error, answer.data)
 
     def reset_input_buffer(self) -> None:
         self._open = None

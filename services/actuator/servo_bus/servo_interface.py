@@ -12,7 +12,6 @@ from sextant.services.actuator.servo_bus import mcu_bridge, usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import (
     REPLY_TIMEOUT_NS,
     BusDisconnectedError,
-    BusSetupError,
     Port,
     ServoBus,
     ServoReading,
@@ -20,7 +19,6 @@ from sextant.services.actuator.servo_bus.bus_driver import (
 )
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo.models import AX_12A
 from sextant.shared.servo.servo_model import Register, ServoModel
 
 
@@ -141,10 +139,5 @@ def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callab
     """Return the robot's servos on an open port."""
     model, names, lock = profile.servo_model, profile.servo_names, profile.servo.lock_eeprom
     if settings.bridge:
-        if model.units != AX_12A.units or model.protocol is not AX_12A.protocol:
-            raise BusSetupError(
-                f"a bridge passes the registers of AX and RX servos, found {model.name} in the profile {profile.name}; "
-                "connect these servos to an adapter, and turn the setting `bridge` off"
-            )
         return Bridge(port, list(names), clock, model=model, names=names, lock=lock)
     return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo, lock=lock)

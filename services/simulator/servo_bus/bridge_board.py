@@ -1,16 +1,20 @@
 """Simulated bridge board.
 
-It runs the reference firmware between a host port and the emulated servo bus.
+It runs the firmware of real boards between a host port and the emulated servo bus.
 """
 
 from collections import deque
 from typing import Protocol
 
-from sextant.services.simulator.servo_bus.bridge_firmware import Firmware
 from sextant.services.simulator.servo_bus.bus import BusTiming
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, HostLink, Outbox, Reply
+from sextant.shared.servo.firmware.bridge import Firmware
+from sextant.shared.servo.models import AX_12A
+from sextant.shared.servo.servo_model import ServoModel
 
 _OUTBOX = 8  # maximum number of frames that wait for a host that does not read; the oldest are dropped
+_NS_PER_US = 1_000
+_NAME = "simulated board"
 _START_NS = 300_000_000  # [ns] boot time of the microcontroller
 
 
@@ -27,15 +31,20 @@ class Board:
     It has neither thread nor clock; times are arguments.
     """
 
-    def __init__(self, bus: Servos, link: BusTiming | None = None) -> None:
+    def __init__(self, bus: Servos, link: BusTiming | None = None, model: ServoModel = AX_12A) -> None:
         """Connect the board; it boots at the first time that it receives.
 
         Args:
-            bus: The servo bus, without the delay of a USB adapter.
+            bus: The servo bus at 1 Mbit/s, without the delay of a USB adapter.
             link: Delays of the link to the host; by default 1 Mbit/s and a USB frame.
+            model: The servos for which the board is configured.
+
+        Raises:
+            ValueError: The firmware does not know the servos.
         """
-        self.firmware = Firmware(boot=1)
         self.boots = 1
+        self._model = model
+        self.firmware = self._boot(0)
         self._bus = bus
         self._link = link or BusTiming()
         self._now_ns = -1
@@ -62,7 +71,7 @@ class Board:
     def due_ns(self) -> int:
         """Time [ns] of the next event on the board."""
         ends = (self._from_host[0].due_ns if self._from_host else None, self._from_bus.due_ns)
-        return max(min([self.firmware.due_ns, *(end for end in ends if end is not None)]), self._dead_until_ns)
+        return max(min([self.firmware.due_us * _NS_PER_US, *(end for end in ends if end is not None)]), self._dead_until_ns)
 
     def adapter_port(self, now_ns: int) -> AdapterPort | None:
         """Return the identity of the port.
@@ -84,24 +93,28 @@ class Board:
         self._run(now_ns)
         self.boots += 1
         self._dead_until_ns = self._now_ns + _START_NS
-        self.firmware = Firmware(self.boots, self._dead_until_ns)
+        self.firmware = self._boot(self._dead_until_ns)
         self._from_host.clear()
         self._outbox.clear()
         self._from_bus = Outbox()
+
+    def _boot(self, now_ns: int) -> Firmware:
+        return Firmware(self.boots, self._model.name, _NAME, now_ns // _NS_PER_US)
 
     def _run(self, now_ns: int) -> None:
         """Step the firmware through all events up to a time [ns]."""
         if self._now_ns < 0:
             self._now_ns = now_ns
-            self.firmware = Firmware(self.boots, now_ns)
+            self.firmware = self._boot(now_ns)
         while (at_ns := max(self.due_ns, self._now_ns)) <= now_ns:
             self._now_ns = at_ns
-            said = self.firmware.step(at_ns, _arrived(self._from_host, at_ns), self._from_bus.take(at_ns))
-            if said.to_bus:
-                self._from_bus.put(self._bus.receive(said.to_bus, at_ns))
-            if said.to_host:
-                self._out_free_ns = max(at_ns, self._out_free_ns) + self._link.wire_ns(len(said.to_host))
-                self._outbox.append(Reply(self._out_free_ns + self._link.usb_transaction_ns, said.to_host))
+            received = _arrived(self._from_host, at_ns), self._from_bus.take(at_ns)
+            to_host, to_bus = self.firmware.step(at_ns // _NS_PER_US, *received)
+            if to_bus:
+                self._from_bus.put(self._bus.receive(to_bus, at_ns))
+            if to_host:
+                self._out_free_ns = max(at_ns, self._out_free_ns) + self._link.wire_ns(len(to_host))
+                self._outbox.append(Reply(self._out_free_ns + self._link.usb_transaction_ns, to_host))
 
 
 def _arrived(queue: deque[Reply], now_ns: int) -> bytes:

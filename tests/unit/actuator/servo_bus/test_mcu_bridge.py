@@ -14,19 +14,23 @@ from hypothesis import strategies as st
 from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, Lost
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.servo_bus.bridge_board import Board
-from sextant.services.simulator.servo_bus.bridge_firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.bridge_protocol import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome
+from sextant.shared.servo.bridge_protocol import AGE_UNIT_US, ANGLE_RAD, VERSION, Mode, Refusal, Welcome
+from sextant.shared.servo.firmware import bridge as firmware
 from sextant.shared.servo.servo_model import ServoError
 
 WILD = settings(deadline=None, derandomize=True, max_examples=40)
 
 IDS = (8, 10, 12, 14, 16, 18, 2, 4, 6, 7, 9, 11, 13, 15, 17, 1, 3, 5)
 PERIOD = 20_000_000
+CYCLE_NS = 1000 * firmware.CYCLE_US
+TICK = dxl.TICK_RAD / ANGLE_RAD
+FAR_TICKS, NEAR_TICKS = int(firmware.FAR / TICK), round(firmware.NEAR / TICK)
+CATCH_UP_TICKS_S = firmware.CATCH_UP_SPEED / TICK
 BUDGET = 6_500_000
 HERE = np.full(18, 512)
 
@@ -141,7 +145,7 @@ def test_all_servos_are_read_in_each_cycle_with_time_stamps() -> None:
 def test_reading_refers_to_active_goals_by_board_clock() -> None:
     """Check the time of a reading's goals by the board's clock, within 8 ms.
 
-    Goals arrive 1.1 ms after they were sent, and the board rounds to 1 ms. States take 4 ms, which count as none: 7 ms.
+    Goals arrive 1.1 ms after they were sent, and the board rounds to 0.1 ms. States take 4 ms, which count as none: 7 ms.
     """
     rig, sent_ns, ages = walking(), list[int](), list[int]()
     for half in range(40):
@@ -165,23 +169,23 @@ def test_goal_time_of_reading_survives_board_restart_and_rounding() -> None:
     seen = rig.driver.state
     assert seen is not None
 
-    def since_ms(time_us: int, sequence: int, goals_age_ms: int, asked_ms: float) -> float:
+    def since_ms(time_us: int, sequence: int, goals_age_ms: float, asked_ms: float) -> float:
         ages = tuple([round(asked_ms * 1000 / AGE_UNIT_US)] * 18)
-        state = replace(seen, time_us=time_us, sequence=seen.sequence + sequence, goals_age_ms=goals_age_ms, age=ages)
+        state = replace(seen, time_us=time_us, sequence=seen.sequence + sequence, goals_age=round(10 * goals_age_ms), age=ages)
         rig.driver._take(state)
         (since_ns,) = {r.stamp_ns - r.told_ns for r in rig.driver.poll(0)}
         return since_ns * 1e-6
 
     rig.driver.poll(BUDGET)
     begin_us = seen.time_us + 100_000
-    assert since_ms(begin_us, 1, 9, 2.0) == pytest.approx(7.5)
-    for later_ms, sequence, age_ms in ((10, 2, 20), (20, 3, 29)):  # the same goals, with one millisecond of rounding
-        assert since_ms(begin_us + 1000 * later_ms, sequence, age_ms, 2.0) == pytest.approx(7.5 + later_ms, abs=1.0)
+    assert since_ms(begin_us, 1, 9, 2.0) == pytest.approx(7.05)
+    for later_ms, sequence, age_ms in ((10, 2, 19.1), (20, 3, 28.9)):  # the same goals, with 0.1 ms of rounding
+        assert since_ms(begin_us + 1000 * later_ms, sequence, age_ms, 2.0) == pytest.approx(7.05 + later_ms, abs=0.11)
     for later_ms, sequence in ((0, 4), (1, 5)):
         found_ms = since_ms(begin_us + 30_000 + 1000 * later_ms, sequence, 8, 11.0)
-        assert found_ms == pytest.approx(28.5 + later_ms, abs=1.0), "asked before the newest"
-    rig.driver._meet(Welcome(VERSION, rig.driver._session, seen.sequence + 77, 0, "anew"))
-    assert since_ms(50_000, 6, 9, 2.0) == pytest.approx(7.5), "its clock begins at 0"
+        assert found_ms == pytest.approx(28.05 + later_ms, abs=1.0), "asked before the newest"
+    rig.driver._meet(Welcome(VERSION, rig.driver._session, seen.sequence + 77, 0, "anew", "AX-12A"))
+    assert since_ms(50_000, 6, 9, 2.0) == pytest.approx(7.05), "its clock begins at 0"
 
 
 def test_torque_on_requires_fresh_goals_and_goals_reach_servos() -> None:
@@ -263,7 +267,7 @@ def test_stale_goals_make_bridge_hold_with_torque_on() -> None:
     rig.port.write = len  # type: ignore[method-assign,assignment]
     rig.cycle(250, HERE + 3)
     assert rig.driver.trouble == "the bridge holds the last goals: no fresh goals reach it"
-    assert rig.driver.state.goals_age_ms > 5000  # type: ignore[union-attr]
+    assert rig.driver.state.goals_age > 50_000  # type: ignore[union-attr]
     assert rig.torque.all()
     assert (rig.goals == 512).all()
 
@@ -379,21 +383,21 @@ def test_buffered_states_keep_their_true_time_stamps() -> None:
 
 def test_other_protocol_version_is_refused_with_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
-    monkeypatch.setattr(bridge_protocol, "VERSION", 2)
-    hello = bridge_protocol.encode(bridge_protocol.Hello(2, 5, 0, bytes(IDS)))
-    welcome = bridge_protocol.encode(bridge_protocol.Welcome(2, 0, 1, 0, "from next year"))
+    monkeypatch.setattr(bridge_protocol, "VERSION", 3)
+    hello = bridge_protocol.encode(bridge_protocol.Hello(3, 5, 0, bytes(IDS)))
+    welcome = bridge_protocol.encode(bridge_protocol.Welcome(3, 0, 1, 0, "from next year", "AX-12A"))
     monkeypatch.undo()
     rig.port.write(hello)
     rig.pass_time(2)
-    assert rig.board.firmware.mode is Mode.WAITING
+    assert rig.board.firmware.mode == Mode.WAITING
     said = [
         m
         for r in rig.board.unsolicited_replies(rig.now_ns)
         for m in bridge_protocol.Receiver(bridge_protocol.TO_HOST).feed(r.data)
     ]
-    assert {m.version for m in said if isinstance(m, bridge_protocol.Welcome)} == {1}, "it says its own"
+    assert {m.version for m in said if isinstance(m, bridge_protocol.Welcome)} == {VERSION}, "it says its own"
     rig.plug_in(lambda data: welcome)
-    words = "the bridge uses protocol version 2, version 1 expected; flash"
+    words = "the bridge uses protocol version 3, version 2 expected; flash"
     with pytest.raises(BusSetupError, match=words):
         rig.driver.setup()
 

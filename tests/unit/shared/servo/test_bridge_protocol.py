@@ -16,7 +16,8 @@ from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_fields import Choice, Kind, Octets, Text, Whole, Words
 from sextant.shared.servo.bridge_protocol import FROM_HOST, MESSAGES, TO_HOST, Message, Receiver, RemoteClock
-from sextant.shared.servo.framing import frame
+from sextant.shared.servo.firmware.framing import frame
+from sextant.shared.servo.models import AX_12A, STS3215, XL430_W250
 from sextant.shared.wire.codec import DecodeError, pack_values
 
 WILD = settings(deadline=None, derandomize=True, max_examples=150)
@@ -34,8 +35,8 @@ def values_of(kind: Kind, count: int) -> st.SearchStrategy[Any]:
             return st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=most)
         case Octets(_, high):
             return st.lists(st.integers(0, high), min_size=count, max_size=count, unique=True).map(bytes)
-        case Words(high, _):
-            return st.lists(st.integers(0, high), min_size=count, max_size=count).map(tuple)
+        case Words(low, high, _):
+            return st.lists(st.integers(low, high), min_size=count, max_size=count).map(tuple)
     raise AssertionError(kind)
 
 
@@ -113,7 +114,7 @@ def test_greeting_of_other_version_is_recognized() -> None:
     receiver = Receiver(FROM_HOST)
     assert receiver.feed(frame(pack_values([1, 9, "all", "different"]))) == []
     assert receiver.other_version == 9
-    assert receiver.last_refusal == "version 1 of the bridge's wire expected, found version 9"
+    assert receiver.last_refusal == "version 2 of the bridge's wire expected, found version 9"
     receiver.feed(bridge_protocol.encode(bridge_protocol.Hello(bridge_protocol.VERSION, 1, 0, bytes([1]))))
     assert receiver.other_version is None
 
@@ -123,8 +124,13 @@ def test_greeting_of_other_version_is_recognized() -> None:
     [
         (
             bridge_protocol.Goals,
-            (7, 1, 0, 200, (1024,), (0,)),
-            "Goals.position: at most 24 whole numbers from 0 to 1023 expected",
+            (7, 1, 0, 200, (-32768,), (0,)),
+            "Goals.position: at most 24 whole numbers from -32767 to 32767 expected",
+        ),
+        (
+            bridge_protocol.Goals,
+            (7, 1, 0, 200, (512,), (-1,)),
+            "Goals.speed: at most 24 whole numbers from 0 to 32767 expected",
         ),
         (bridge_protocol.Goals, (7, 1, 0, 200, (512, 512), (0,)), "equal numbers of values expected"),
         (
@@ -136,9 +142,9 @@ def test_greeting_of_other_version_is_recognized() -> None:
         (bridge_protocol.Goals, (7, 1, 0, 200, (512.0,), (0,)), "Goals.position"),
         (bridge_protocol.Torque, (7, 1, 0, True), "Torque.on"),
         (bridge_protocol.Torque, (0, 1, 0, 1), "Torque.session"),
-        (bridge_protocol.Hello, (1, 7, 0, bytes([1, 1])), "each once"),
-        (bridge_protocol.Hello, (1, 7, 0, bytes([254])), "bytes of 0 to 253"),
-        (bridge_protocol.Welcome, (1, 7, 0, 0, "x" * 33), "a text of at most 32"),
+        (bridge_protocol.Hello, (2, 7, 0, bytes([1, 1])), "each once"),
+        (bridge_protocol.Hello, (2, 7, 0, bytes([254])), "bytes of 0 to 253"),
+        (bridge_protocol.Welcome, (2, 7, 0, 0, "x" * 33, ""), "a text of at most 32"),
     ],
 )
 def test_invalid_message_is_refused_with_expectation(message: type[Message], fields: tuple[Any, ...], words: str) -> None:
@@ -151,7 +157,7 @@ def test_state_of_max_servos_fits_frame() -> None:
     octets = bytes([255] * n)
     state = bridge_protocol.State(
         *(top, top, (1 << 64) - 1, bridge_protocol.Mode.ON, top, 0xFFFF, bridge_protocol.Refusal.FAR, top, top, top, top),
-        *((1023,) * n, (2047,) * n, (2047,) * n, octets, octets, octets, (bridge_protocol.NEVER,) * n),
+        *((-32767,) * n, (32767,) * n, (-32767,) * n, octets, octets, octets, (bridge_protocol.NEVER,) * n),
     )
     assert Receiver(TO_HOST).feed(bridge_protocol.encode(state)) == [state]
 
@@ -177,7 +183,9 @@ def test_document_lists_every_message_and_field() -> None:
         assert listed == [name for name, _ in bridge_protocol._kinds(kind)], kind.__name__
 
 
-@pytest.mark.parametrize("table", [bridge_protocol.Mode, bridge_protocol.Refusal, bridge_protocol.Result])
+@pytest.mark.parametrize(
+    "table", [bridge_protocol.Mode, bridge_protocol.Refusal, bridge_protocol.Result, bridge_protocol.Instruction]
+)
 def test_document_lists_every_mode_refusal_and_result(table: Any) -> None:
     for member in table:
         assert f"| {member.value} | {member.name} |" in DOCUMENT
@@ -188,20 +196,22 @@ def test_documented_times_match_frames() -> None:
     late = (top, top, (1 << 64) - 1)
     state = bridge_protocol.State(
         *(*late, bridge_protocol.Mode.ON, top, 0xFFFF, bridge_protocol.Refusal.FAR, top, top, top, top),
-        *((1023,) * N, (2047,) * N, (2047,) * N, octets, octets, octets, (bridge_protocol.NEVER,) * N),
+        *((-32767,) * N, (32767,) * N, (-32767,) * N, octets, octets, octets, (bridge_protocol.NEVER,) * N),
     )
-    ask = bridge_protocol.Ask(*late, dxl.MAX_ID, int(dxl.Instruction.READ), bytes((36, 8)))
+    ask = bridge_protocol.Ask(*late, dxl.MAX_ID, int(dxl.Instruction.READ), 36, 8, b"")
     answer = bridge_protocol.Answer(top, top, bridge_protocol.Result.ANSWERED, 255, bytes(8))
-    reading = len(dxl.read(1, 36, 8)) + len(dxl.status(1, 0, bytes(8)))
-    goals = len(dxl.sync_write(30, 4, [(i, bytes(4)) for i in range(N)]))
     sizes = {
-        "Goals": len(bridge_protocol.encode(bridge_protocol.Goals(*late, 200, (1023,) * N, (1023,) * N))),
+        "Goals": len(bridge_protocol.encode(bridge_protocol.Goals(*late, 200, (32767,) * N, (32767,) * N))),
         "State": len(bridge_protocol.encode(state)),
         "Ask and Answer": len(bridge_protocol.encode(ask)) + len(bridge_protocol.encode(answer)),
-        "goals on the servo bus": goals,
-        "one reading on the servo bus": reading,
-        "a cycle on the servo bus": goals + N * reading,
     }
+    for model in (AX_12A, STS3215, XL430_W250):
+        bus, table = model.protocol, model.table
+        answer_size = len(bus.status(1, 0, bytes(table.state.size)))
+        reading = len(bus.read(1, table.state.address, table.state.size)) + answer_size
+        goals = len(bus.sync_write(table.goals.address, table.goals.size, [(i, bytes(table.goals.size)) for i in range(N)]))
+        cycle = goals + N * reading
+        sizes |= {f"{model.name}: goals": goals, f"{model.name}: one reading": reading, f"{model.name}: a cycle": cycle}
     for name, size in sizes.items():
         assert f"| {name} | {size} | {size * dxl.BITS_PER_BYTE * 1e-3:.2f} ms |" in DOCUMENT
 

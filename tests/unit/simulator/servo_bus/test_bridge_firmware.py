@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.services.simulator.servo_bus.bridge_board import Board
-from sextant.services.simulator.servo_bus.bridge_firmware import CYCLE_NS, GREETING_NS, Firmware
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
@@ -19,12 +18,14 @@ from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import Message, Mode, Receiver, Refusal, Result
 from sextant.shared.servo.dynamixel import Instruction, PacketParser
+from sextant.shared.servo.firmware.bridge import CYCLE_US, GREETING_US, Firmware
 from sextant.shared.servo.servo_model import Packet, Register
 
 WILD = settings(deadline=None, derandomize=True, max_examples=100)
 MS = 1_000_000
+CYCLE_NS, GREETING_NS = 1000 * CYCLE_US, 1000 * GREETING_US
 IDS = bytes([1, 2, 3])
-HERE = (512, 512, 512)
+HERE = (0, 0, 0)  # [0.1 mrad]
 
 
 class Recorded(ServoBusEmulator):
@@ -127,7 +128,7 @@ def test_new_session_adopts_torque_state_without_writing() -> None:
     for torque, mode in ((True, Mode.HOLDING), (False, Mode.OFF)):
         bench = in_session(torque)
         state = bench.state()
-        assert (state.mode, state.goals_age_ms) == (mode, bridge_protocol.NEVER)
+        assert (state.mode, state.goals_age) == (mode, bridge_protocol.NEVER)
         assert {packet.code for packet in bench.bus.heard} == {Instruction.READ}
     bench = Bench(torque=True)
     bench.bank.tables[1, dxl.TORQUE_ENABLE.address] = 0
@@ -151,10 +152,10 @@ def test_each_refusal_is_reported_in_state() -> None:
         Refusal.SESSION: lambda b: bridge_protocol.Goals(8, 99, b.now_ns // 1000, 200, HERE, HERE),
         Refusal.ORDER: lambda b: bridge_protocol.Limits(7, 1, b.now_ns // 1000 + 1_000_000, HERE),
         Refusal.AGE: lambda b: bridge_protocol.Limits(*b.head(late_us=250_000), HERE),
-        Refusal.COUNT: lambda b: b.goals((512, 512)),
-        Refusal.QUESTION: lambda b: bridge_protocol.Ask(*b.head(), 1, int(Instruction.RESET), b""),
+        Refusal.COUNT: lambda b: b.goals((0, 0)),
+        Refusal.QUESTION: lambda b: bridge_protocol.Ask(*b.head(), 1, int(Instruction.RESET), 0, 0, b""),
         Refusal.FAR: lambda b: (
-            bridge_protocol.encode(b.goals((600, 512, 512))) + bridge_protocol.encode(bridge_protocol.Torque(*b.head(), 1))
+            bridge_protocol.encode(b.goals((4500, 0, 0))) + bridge_protocol.encode(bridge_protocol.Torque(*b.head(), 1))
         ),
     }
     for refusal, make in cases.items():
@@ -168,7 +169,7 @@ def test_each_refusal_is_reported_in_state() -> None:
 
 def test_requests_beyond_queue_size_are_refused_and_all_are_answered() -> None:
     bench = in_session()
-    asked = [bridge_protocol.Ask(*bench.head(), 1, int(Instruction.READ), bytes((36, 2))) for _ in range(12)]
+    asked = [bridge_protocol.Ask(*bench.head(), 1, int(Instruction.READ), 36, 2, b"") for _ in range(12)]
     said = bench.pass_time(40 * MS, b"".join(map(bridge_protocol.encode, asked)))
     answers = [m for m in said if isinstance(m, bridge_protocol.Answer)]
     assert sorted(m.sequence for m in answers) == [ask.sequence for ask in asked]
@@ -178,13 +179,10 @@ def test_requests_beyond_queue_size_are_refused_and_all_are_answered() -> None:
 
 
 def test_register_write_that_enables_torque_is_refused() -> None:
-    for parameters in (bytes((24, 1)), bytes((20, 0, 0, 0, 0, 1)), bytes((24, 255, 0)), bytes((18, *[1] * 20))):
+    for address, data in ((24, b"\1"), (20, bytes((0, 0, 0, 0, 1))), (24, b"\xff\0"), (18, bytes([1] * 20))):
         bench = in_session(torque=False)
-        (answer,) = (
-            m
-            for m in bench.pass_time(20 * MS, bridge_protocol.Ask(*bench.head(), 1, int(Instruction.WRITE), parameters))
-            if isinstance(m, bridge_protocol.Answer)
-        )
+        ask = bridge_protocol.Ask(*bench.head(), 1, int(Instruction.WRITE), address, 0, data)
+        (answer,) = (m for m in bench.pass_time(20 * MS, ask) if isinstance(m, bridge_protocol.Answer))
         assert answer.result is Result.REFUSED
         assert writes(bench, dxl.TORQUE_ENABLE) == []
 
@@ -205,11 +203,11 @@ def test_silent_servos_do_not_delay_goals_and_states() -> None:
     assert len(states) == 50
     assert states[-1].silent >= 50
     assert min(states[-1].age) >= 4000
-    bench.pass_time(5 * MS, bench.goals((514, 514, 514)))
+    bench.pass_time(5 * MS, bench.goals((102, 102, 102)))
     assert (bench.bank.tables.view("<u2")[:, dxl.GOAL_POSITION.address // 2] == 514).all()
 
 
-WORDS = st.tuples(*[st.integers(0, 1023)] * 3)
+WORDS = st.tuples(*[st.integers(-26179, 26179)] * 3)
 ORDERS = st.lists(
     st.tuples(
         st.sampled_from(["goals", "on", "off", "limits", "write", "hello", "new hello", "old", "replay", "wait", "noise"]),
@@ -238,9 +236,9 @@ def test_random_orders_enable_torque_only_by_torque_order(
             case "on" | "off":
                 message = bridge_protocol.Torque(*bench.head(), int(what == "on"))
             case "limits":
-                message = bridge_protocol.Limits(*bench.head(), words)
+                message = bridge_protocol.Limits(*bench.head(), tuple(abs(word) for word in words))
             case "write":
-                message = bridge_protocol.Ask(*bench.head(), 1, int(Instruction.WRITE), noise)
+                message = bridge_protocol.Ask(*bench.head(), 1, int(Instruction.WRITE), ms % 60, 0, noise)
             case "hello" | "new hello":
                 message = bench.hello(7 if what == "hello" else 7 + ms)
             case "old":
@@ -251,10 +249,10 @@ def test_random_orders_enable_torque_only_by_torque_order(
                 message = b"\0" + noise + b"\0"
             case _:
                 message = b""
-        was_off = bench.board.firmware.mode is Mode.OFF
+        was_off = bench.board.firmware.mode == Mode.OFF
         bench.pass_time(ms * MS, message)
         turned_on = [p for p in writes(bench, dxl.TORQUE_ENABLE) if p.code == Instruction.SYNC_WRITE or p.parameters[1]]
-        if turned_on:
+        if turned_on and what != "write":  # while torque is ordered on, one servo near its goal may get it by a write
             assert what == "on"
             assert writes(bench, dxl.GOAL_POSITION), "behind goals"
             on_ordered = True
@@ -267,7 +265,7 @@ def test_random_orders_enable_torque_only_by_torque_order(
             assert writes(bench, dxl.GOAL_POSITION) == []
         if what in ("on", "goals"):
             last = bridge_protocol.encode(message) if isinstance(message, Message) else last
-    assert bench.board.firmware.due_ns > bench.now_ns - CYCLE_NS
+    assert bench.board.firmware.due_us > (bench.now_ns - CYCLE_NS) // 1000
 
 
 @WILD
@@ -275,12 +273,12 @@ def test_random_orders_enable_torque_only_by_torque_order(
 def test_random_bytes_raise_no_error_and_cause_no_write(
     parts: list[tuple[int, bytes, bytes]],
 ) -> None:
-    firmware, recorder, now_ns = Firmware(1), PacketParser(), 0
+    firmware, recorder, now_us = Firmware(1, "AX-12A", "a board"), PacketParser(), 0
     hello = bridge_protocol.encode(bridge_protocol.Hello(bridge_protocol.VERSION, 7, 0, IDS))
-    sent = firmware.step(now_ns, hello).to_bus
+    _, sent = firmware.step(now_us, hello)
     for wait_ns, from_host, from_bus in parts:
-        now_ns += wait_ns
-        said = firmware.step(now_ns, b"\0" + from_host + b"\0", from_bus)
-        sent += said.to_bus
-        assert len(said.to_host) <= 2 * 404
+        now_us += wait_ns // 1000
+        to_host, to_bus = firmware.step(now_us, b"\0" + from_host + b"\0", from_bus)
+        sent += to_bus
+        assert len(to_host) <= 2 * 404
     assert {packet.code for packet in recorder.feed(sent)} <= {Instruction.READ}

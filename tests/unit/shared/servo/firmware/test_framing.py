@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sextant.shared.servo.framing import MAX_FRAME, MAX_PAYLOAD, Broken, Deframer, frame, stuffed, unstuffed
+from sextant.shared.servo.firmware.framing import MAX_FRAME, MAX_PAYLOAD, Broken, Deframer, frame, stuffed, unstuffed
 
 WILD = settings(deadline=None, derandomize=True, max_examples=300)
 PAYLOADS = st.lists(st.binary(min_size=1, max_size=MAX_PAYLOAD - 4), min_size=3, max_size=5)

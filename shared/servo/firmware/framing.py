@@ -6,21 +6,18 @@ Zero bytes occur only around frames. A receiver that is out of sync recovers at 
 most one frame. CRC-32 (zlib's) misses one broken frame in four thousand million. The module has no port and no clock.
 """
 
-import struct
-import zlib
-from collections import Counter
-from enum import StrEnum
+import binascii
 
 MAX_PAYLOAD = 400  # [bytes] including the CRC
 MAX_FRAME = MAX_PAYLOAD + MAX_PAYLOAD // 254 + 1  # [bytes] between the zeros
 
-_CRC = struct.Struct("<I")
+_CRC_SIZE = 4  # [bytes]
 _ZERO = b"\0"
 _BLOCK = 254  # maximum bytes after one code byte
 
 
-class Broken(StrEnum):
-    """Reason for which the bytes between two zeros are not a frame."""
+class Broken:
+    """Reasons for which the bytes between two zeros are not a frame."""
 
     LONG = "frame too long"
     STUFFING = "frame cut or broken"
@@ -33,9 +30,9 @@ def frame(payload: bytes) -> bytes:
     Raises:
         ValueError: The payload is too long.
     """
-    if len(payload) + _CRC.size > MAX_PAYLOAD:
-        raise ValueError(f"at most {MAX_PAYLOAD - _CRC.size} bytes of payload expected, found {len(payload)}")
-    return _ZERO + stuffed(payload + _CRC.pack(zlib.crc32(payload))) + _ZERO
+    if len(payload) + _CRC_SIZE > MAX_PAYLOAD:
+        raise ValueError(f"at most {MAX_PAYLOAD - _CRC_SIZE} bytes of payload expected, found {len(payload)}")
+    return _ZERO + stuffed(payload + _crc(payload)) + _ZERO
 
 
 def stuffed(data: bytes) -> bytes:
@@ -54,7 +51,7 @@ def stuffed(data: bytes) -> bytes:
         out.append(len(block) + 1)
         out += block
     if not block and run:  # the last run ends with a full block, which implies no zero
-        out.pop()
+        return bytes(out[:-1])
     return bytes(out)
 
 
@@ -74,13 +71,17 @@ def unstuffed(data: bytes) -> bytes | None:
     return bytes(out)
 
 
+def _crc(payload: bytes) -> bytes:
+    return binascii.crc32(payload).to_bytes(_CRC_SIZE, "little")
+
+
 class Deframer:
     """Decoder of payloads in an arbitrary byte stream; it buffers at most one frame."""
 
     def __init__(self) -> None:
         """Start between two frames."""
-        self.broken: Counter[str] = Counter()  # number of broken frames, by `Broken`
-        self._buffer = bytearray()
+        self.broken: dict[str, int] = {}  # number of broken frames, by `Broken`
+        self._buffer = b""
         self._overlong = False
 
     @property
@@ -92,38 +93,41 @@ class Deframer:
         """Add the next bytes of the stream, and return the completed payloads."""
         payloads: list[bytes] = []
         start = 0
-        while (end := data.find(0, start)) >= 0:
+        end = data.find(_ZERO)
+        while end >= 0:
             self._keep(data[start:end])
             payload = self._complete()
             if payload is not None:
                 payloads.append(payload)
             start = end + 1
+            end = data.find(_ZERO, start)
         self._keep(data[start:])
         return payloads
 
     def _keep(self, data: bytes) -> None:
-        self._overlong |= len(self._buffer) + len(data) > MAX_FRAME
-        if self._overlong:
-            self._buffer.clear()
-        else:
-            self._buffer += data
+        if len(self._buffer) + len(data) > MAX_FRAME:
+            self._overlong = True
+        self._buffer = b"" if self._overlong else self._buffer + data
 
     def _complete(self) -> bytes | None:
         """Return the payload of the frame that just ended, or None.
 
         Broken frames are counted.
         """
-        stuffing, overlong = bytes(self._buffer), self._overlong
-        self._buffer.clear()
+        stuffing, overlong = self._buffer, self._overlong
+        self._buffer = b""
         self._overlong = False
         if not (stuffing or overlong):
             return None
         data = None if overlong else unstuffed(stuffing)
-        if data is None or len(data) < _CRC.size:
-            self.broken[Broken.LONG if overlong else Broken.STUFFING] += 1
+        if data is None or len(data) < _CRC_SIZE:
+            self._count(Broken.LONG if overlong else Broken.STUFFING)
             return None
-        payload = data[: -_CRC.size]
-        if zlib.crc32(payload) != _CRC.unpack(data[-_CRC.size :])[0]:
-            self.broken[Broken.CRC] += 1
+        payload = data[:-_CRC_SIZE]
+        if _crc(payload) != data[-_CRC_SIZE:]:
+            self._count(Broken.CRC)
             return None
         return payload
+
+    def _count(self, reason: str) -> None:
+        self.broken[reason] = self.broken.get(reason, 0) + 1

@@ -1,0 +1,182 @@
+"""Packets of the servo buses on the board: Dynamixel Protocol 1.0, which Feetech STS servos use too, and Protocol 2.0.
+
+Sources and details are in `sextant.shared.servo.dynamixel` and `dynamixel2`; tests compare the two byte for byte.
+"""
+
+BROADCAST_ID = 0xFE
+_PING, _READ, _WRITE, _REBOOT, _STATUS, _SYNC_WRITE = 1, 2, 3, 8, 0x55, 0x83
+_STUFFED = b"\xff\xff\xfd"
+
+
+def _crc_table() -> list[int]:
+    table = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x18005) if crc & 0x8000 else crc << 1
+        table.append(crc)
+    return table
+
+
+_TABLE = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """Return the CRC of Protocol 2.0: polynomial 0x8005, highest bit first, initial value 0."""
+    crc, table = 0, _TABLE
+    for byte in data:
+        crc = (crc & 0xFF) << 8 ^ table[crc >> 8 ^ byte]
+    return crc
+
+
+class Protocol1:
+    """Instructions of Protocol 1.0: FF FF id length instruction parameters checksum."""
+
+    HEADER = b"\xff\xff"
+    OVERHEAD = 6  # bytes of an answer besides its parameters
+    PING_SIZE = 0  # [bytes] of parameters in the answer to a ping
+
+    def encode(self, servo_id: int, code: int, parameters: bytes) -> bytes:
+        """Encode a packet."""
+        body = bytes((servo_id, len(parameters) + 2, code)) + parameters
+        return self.HEADER + body + bytes((~sum(body) & 0xFF,))
+
+    def number(self, value: int) -> bytes:
+        """Encode an address or a size."""
+        return bytes((value,))
+
+    def next_packet(self, data: bytes, max_parameters: int) -> tuple:
+        """Find the first packet after a header.
+
+        Returns:
+            Number of bytes to drop, whether they are lost, and the packet (id, error, parameters) or None. No bytes to drop
+            means that the next bytes decide.
+        """
+        if len(data) < 4:
+            return 0, False, None
+        if data[2] == 0xFF or not 2 <= data[3] <= max_parameters + 2:
+            return 1, True, None
+        size = data[3] + 4
+        if len(data) < size:
+            return 0, False, None
+        if sum(data[2:size]) & 0xFF != 0xFF:
+            return 1, True, None
+        return size, False, (data[2], data[4], data[5 : size - 1])
+
+    def ping(self, servo_id: int) -> bytes:
+        """Encode a ping of a servo."""
+        return self.encode(servo_id, _PING, b"")
+
+    def read(self, servo_id: int, address: int, size: int) -> bytes:
+        """Encode a read of `size` bytes from an address."""
+        return self.encode(servo_id, _READ, self.number(address) + self.number(size))
+
+    def write(self, servo_id: int, address: int, data: bytes) -> bytes:
+        """Encode a write of bytes, starting at an address."""
+        return self.encode(servo_id, _WRITE, self.number(address) + data)
+
+    def sync_write(self, address: int, size: int, rows: bytes) -> bytes:
+        """Encode a write of several servos, from rows of an id and `size` bytes each."""
+        return self.encode(BROADCAST_ID, _SYNC_WRITE, self.number(address) + self.number(size) + rows)
+
+    def reboot(self, servo_id: int) -> bytes:
+        """Encode a reboot; Protocol 1.0 has none, and the bytes are empty."""
+        return b""
+
+
+class Protocol2(Protocol1):
+    """Instructions of Protocol 2.0: FF FF FD 00 id length instruction parameters CRC."""
+
+    HEADER = b"\xff\xff\xfd\x00"
+    OVERHEAD = 11
+    PING_SIZE = 3
+
+    def encode(self, servo_id: int, code: int, parameters: bytes) -> bytes:
+        """Encode a packet, with byte stuffing."""
+        body = (bytes((code,)) + parameters).replace(_STUFFED, _STUFFED + b"\xfd")
+        packet = self.HEADER + bytes((servo_id,)) + self.number(len(body) + 2) + body
+        return packet + self.number(crc16(packet))
+
+    def number(self, value: int) -> bytes:
+        """Encode an address or a size."""
+        return value.to_bytes(2, "little")
+
+    def next_packet(self, data: bytes, max_parameters: int) -> tuple:
+        """Find the first status packet after a header; see `Protocol1.next_packet`."""
+        if len(data) < 7:
+            return 0, False, None
+        length = data[5] | data[6] << 8
+        # The stuffing adds a byte to three at most.
+        if data[4] > 0xFC or not 4 <= length <= max_parameters + 4 + max_parameters // 3:
+            return 1, True, None
+        size = 7 + length
+        if data.find(self.HEADER, 5, size - 1) >= 0:  # the packet was cut off: stuffing leaves no header inside
+            return 1, True, None
+        if len(data) < size:
+            return 0, False, None
+        if crc16(data[: size - 2]) != data[size - 2] | data[size - 1] << 8:
+            return 1, True, None
+        if data[7] != _STATUS:
+            return size, True, None
+        body = data[7 : size - 2].replace(_STUFFED + b"\xfd", _STUFFED)
+        return size, False, (data[4], body[1], body[2:])
+
+    def reboot(self, servo_id: int) -> bytes:
+        """Encode a reboot of a servo."""
+        return self.encode(servo_id, _REBOOT, b"")
+
+
+class Parser:
+    """Parser of answers in a byte stream with noise and broken or truncated packets."""
+
+    def __init__(self, protocol: Protocol1, max_parameters: int):
+        """Start without bytes.
+
+        Args:
+            protocol: Protocol of the bus.
+            max_parameters: Largest number of parameters of an answer; a lower value recovers sooner.
+        """
+        self.dropped = 0  # bytes outside of packets, and broken packets
+        self._protocol = protocol
+        self._max_parameters = max_parameters
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[tuple]:
+        """Add the next bytes, and return the completed answers: id, error, parameters."""
+        if data:
+            self._buffer += data
+        return self._parse()
+
+    def flush(self) -> list[tuple]:
+        """Give up an incomplete packet, and return the intact packets inside it."""
+        found = []
+        while self._buffer:
+            self._drop(1, True)
+            found += self._parse()
+        return found
+
+    def _parse(self) -> list[tuple]:
+        found: list[tuple] = []
+        header = self._protocol.HEADER
+        while self._buffer:
+            start = self._buffer.find(header)
+            if start < 0:  # the last bytes may be the first ones of a header
+                keep = len(header) - 1
+                while keep and not self._buffer.endswith(header[:keep]):
+                    keep -= 1
+                self._drop(len(self._buffer) - keep, True)
+                break
+            self._drop(start, True)
+            count, lost, packet = self._protocol.next_packet(self._buffer, self._max_parameters)
+            if not count:
+                break
+            self._drop(count, lost)
+            if packet is not None:
+                found.append(packet)
+        return found
+
+    def _drop(self, count: int, lost: bool) -> None:
+        if count:
+            self._buffer = self._buffer[count:]
+            if lost:
+                self.dropped += 1

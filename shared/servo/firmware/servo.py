@@ -1,0 +1,121 @@
+"""Registers of one servo model, and the conversion of their values to the units of the wire.
+
+All numbers are integers, because boards have floats of single precision or none.
+"""
+
+from .models import LAYOUTS, MODELS
+from .packets import Protocol1, Protocol2
+from .wire import SIGNED_MAX
+
+SCALE_BITS = 14  # a unit is a whole number of 2^-14 wire units: products then fit the 31 bits of MicroPython's small integers
+_ONE = 1 << SCALE_BITS
+_HALF = _ONE >> 1
+COMPLEMENT = -1  # coding of negative numbers; otherwise 0 for none, or the bit of the sign
+
+
+def to_wire(value: int, unit: int) -> int:
+    """Return a number of ticks in wire units, rounded."""
+    return (value * unit + _HALF) >> SCALE_BITS
+
+
+def to_ticks(value: int, unit: int) -> int:
+    """Return a number of wire units in ticks, rounded."""
+    return (value * _ONE + (unit >> 1)) // unit
+
+
+class ServoModel:
+    """One model of the table in models.py."""
+
+    def __init__(self, name: str):
+        """Find a model.
+
+        Raises:
+            ValueError: The table has no such model.
+        """
+        if name not in MODELS:
+            raise ValueError(f"one of the servos {sorted(MODELS)} expected, found {name}")
+        self.name = name
+        self._errors: tuple
+        self._hardware_errors: tuple
+        protocol, self.size, errors, hardware, torque, limit, goals, state, adopted, units = LAYOUTS[MODELS[name]]
+        self.protocol = Protocol2() if protocol == 2 else Protocol1()
+        self.known_errors, self._errors = errors  # bits of an answer's error, and the errors that they mean
+        self.hardware_address, self._hardware_errors, self.alert = hardware
+        self.torque_enable = torque
+        self.limit_address, self.limit_size, self._limit_max, self._limit_unit = limit
+        self.goals_address, self.goals_size, self._goal, self._speed, self._max_speed = goals
+        self.state_address, self.state_size, self._state = state
+        self.adopted_address, self.adopted_size, self._adopted = adopted
+        self._centre, self._max_position, self._angle_unit, self._speed_unit, self._load_unit, self._volt_unit = units
+
+    def errors(self, code: int) -> int:
+        """Return the errors that an answer reports."""
+        return _meaning(code, self._errors)
+
+    def hardware_errors(self, value: int) -> int:
+        """Return the errors in the hardware error register."""
+        return _meaning(value, self._hardware_errors)
+
+    def angle(self, ticks: int) -> int:
+        """Return the angle [0.1 mrad] of a position register."""
+        return to_wire(ticks - self._centre, self._angle_unit)
+
+    def state(self, data: bytes) -> tuple | None:
+        """Return position, speed, load, voltage and temperature in wire units; None if no servo has such values."""
+        ticks = [_number(data, *field) for field in self._state]
+        position, speed, load, voltage, temperature = ticks
+        if not 0 <= position <= self._max_position:
+            return None
+        found = (
+            self.angle(position),
+            to_wire(speed, self._speed_unit),
+            to_wire(load, self._load_unit),
+            to_wire(voltage, self._volt_unit),
+            temperature,
+        )
+        if max(map(abs, found[:3])) > SIGNED_MAX or max(found[3:]) > 0xFF:
+            return None
+        return found
+
+    def adopted(self, data: bytes) -> tuple:
+        """Return torque enable, and the angles of goal and position [0.1 mrad]; None for a position that no servo has."""
+        torque, goal, position = (_number(data, *field) for field in self._adopted)
+        if not 0 <= position <= self._max_position:
+            return bool(torque), None, None
+        return bool(torque), self.angle(min(max(goal, 0), self._max_position)), self.angle(position)
+
+    def goal(self, angle: int, speed: int) -> bytes:
+        """Encode goal position and speed of an angle [0.1 mrad] and a speed [1 mrad/s], which is 0 for no limit."""
+        row = bytearray(self.goals_size)
+        ticks = min(max(to_ticks(angle, self._angle_unit) + self._centre, 0), self._max_position)
+        at, size = self._goal
+        row[at : at + size] = ticks.to_bytes(size, "little")
+        at, size = self._speed
+        ticks = min(max(to_ticks(speed, self._speed_unit), 1), self._max_speed) if speed else 0
+        row[at : at + size] = ticks.to_bytes(size, "little")
+        return bytes(row)
+
+    def limit(self, share: int) -> bytes:
+        """Encode the torque limit of a share [0.1 %] of the stall torque."""
+        return min(to_ticks(share, self._limit_unit), self._limit_max).to_bytes(self.limit_size, "little")
+
+
+def _meaning(code: int, errors: tuple) -> int:
+    found = 0
+    for bit, meaning in errors:
+        if code & bit:
+            found |= meaning
+    return found
+
+
+def _number(data: bytes, at: int, size: int, sign: int) -> int:
+    """Return a register in a block, by its offset, size and coding of negative numbers.
+
+    A number with bits beyond its sign is returned as it is, larger than any that a servo has.
+    """
+    value = int.from_bytes(data[at : at + size], "little")
+    if sign == COMPLEMENT:
+        return value - (1 << 8 * size) if value >> (8 * size - 1) else value
+    if sign and value >= 2 * sign:
+        return 0x3FFF_FFFF
+    return sign - value if sign and value >= sign else value

@@ -1,0 +1,82 @@
+"""The firmware's table of servos, and its integer arithmetic in the units of the wire."""
+
+from pathlib import Path
+
+import pytest
+
+from sextant.shared.servo import firmware, firmware_models
+from sextant.shared.servo.bridge_protocol import ANGLE_RAD, LOAD, SPEED_RAD_S
+from sextant.shared.servo.firmware.servo import ServoModel
+from sextant.shared.servo.servo_model import ServoModel as HostModel
+from sextant.shared.servo.servo_model import unsigned
+
+EACH = pytest.mark.parametrize("model", firmware_models.supported(), ids=lambda model: model.name)
+SMALL = 1 << 30  # integers below do not need the heap of a board with 32 bits
+
+
+def test_table_is_that_of_models() -> None:
+    found = (Path(firmware.__file__).parent / "models.py").read_text(encoding="utf-8")
+    assert found == firmware_models.text(), "python -m sextant.shared.servo.firmware_models > shared/servo/firmware/models.py"
+
+
+@EACH
+def test_each_goal_register_survives_the_wire(model: HostModel) -> None:
+    ours, units, table = ServoModel(model.name), model.units, model.table
+    at, size = table.goal_position.address - table.goals.address, table.goal_position.size
+    for ticks in range(units.max_position + 1):
+        angle = round(units.angle(ticks) / ANGLE_RAD)
+        assert int.from_bytes(ours.goal(angle, 0)[at : at + size], "little") == ticks
+        assert units.ticks(ours.angle(ticks) * ANGLE_RAD) == ticks
+        assert abs((ticks - units.centre) * ours._angle_unit) < SMALL
+
+
+@EACH
+def test_goal_speeds_round_trip_and_zero_is_no_limit(model: HostModel) -> None:
+    ours, units, table = ServoModel(model.name), model.units, model.table
+    at, size = table.goal_speed.address - table.goals.address, table.goal_speed.size
+    for ticks in range(min(table.goal_speed.max, int(20.0 / units.speed_rad_s))):
+        speed = round(ticks * units.speed_rad_s / SPEED_RAD_S)
+        assert int.from_bytes(ours.goal(0, speed)[at : at + size], "little") == ticks
+    assert int.from_bytes(ours.goal(0, 1)[at : at + size], "little") >= 1
+    assert int.from_bytes(ours.goal(0, 32767)[at : at + size], "little") <= table.goal_speed.max
+
+
+@EACH
+def test_each_torque_limit_survives_the_wire(model: HostModel) -> None:
+    ours, limit = ServoModel(model.name), model.table.torque_limit
+    for ticks in range(limit.max + 1):
+        assert ours.limit(round(ticks * model.units.torque / LOAD)) == limit.encode(ticks)
+
+
+@EACH
+def test_state_has_signs_and_units_of_the_registers(model: HostModel) -> None:
+    ours, units, table = ServoModel(model.name), model.units, model.table
+    for speed, load in ((0, 0), (100, -200), (-100, 200), (-300, -300)):
+        data = bytearray(table.state.size)
+        values = (
+            units.centre + 77,
+            unsigned(speed, units.speed_sign, table.present_speed.size),
+            unsigned(load, units.load_sign, table.present_load.size),
+            123,
+            45,
+        )
+        for register, value in zip(table.measured, values, strict=True):
+            at = register.address - table.state.address
+            data[at : at + register.size] = value.to_bytes(register.size, "little")
+        found = ours.state(bytes(data))
+        expected = (77 * units.tick_rad / ANGLE_RAD, speed * units.speed_rad_s / SPEED_RAD_S, load * units.load / LOAD)
+        assert found is not None
+        assert found[:3] == pytest.approx(expected, abs=0.6)
+        assert found[3:] == (123, 45)
+
+
+def test_impossible_state_is_refused() -> None:
+    ours = ServoModel("AX-12A")
+    assert ours.state(bytes((0xFF, 0x03, 0, 0, 0, 0, 120, 30))) is not None
+    assert ours.state(bytes((0x00, 0x04, 0, 0, 0, 0, 120, 30))) is None, "position"
+    assert ours.state(bytes((0x00, 0x02, 0, 0x08, 0, 0, 120, 30))) is None, "speed beyond its sign"
+
+
+def test_unknown_servo_is_refused_with_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"one of the servos \['AX-12A', .* expected, found AX-13"):
+        ServoModel("AX-13")
