@@ -10,6 +10,7 @@ from sextant.services.perception.calibration.floor_view import expected_floor, f
 from sextant.services.perception.calibration.online_calibration import OnlineCalibration
 from sextant.services.perception.cameras.image_quality import EMPTY, measured_share
 from sextant.services.perception.config import Settings
+from sextant.services.perception.own_legs import without_legs
 from sextant.services.perception.preview import preview
 from sextant.services.perception.rate_control import RateControl
 from sextant.services.perception.rectification import Rectifier
@@ -22,6 +23,8 @@ from sextant.services.perception.registration.frame_registration import SILENT_S
 from sextant.services.perception.registration.motion_prior import Motion, OdometryHistory
 from sextant.services.perception.registration.pose_tracking import PoseTracker
 from sextant.services.perception.registration.registration_result import RegistrationResult
+from sextant.shared.geometry import apply, inverse
+from sextant.shared.robot.kinematics import leg_points
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
 from sextant.shared.wire import topics
@@ -145,6 +148,8 @@ class Perception:
         if self._tracker.last_registered is None and not self._odometry.settled(self._settings.settle_s):
             self._words = "waiting for the legs to stand still"
             return
+        if not fault:
+            image = self._without_legs(image, inbox)
         found = self._register(image, fault, motion, inbox)
         yield self._pose(found, motion)
         if (errors := self._calibration.news(image.stamp_ns)) is not None:
@@ -152,6 +157,17 @@ class Perception:
         # Points at an unknown pose would corrupt the map; without scans the map ages and the planner stops the robot.
         if not fault and (found.ok or self._sees_nothing_yet(image, motion)) and self._link.should_send():
             yield self._scan(image, found, inbox)
+
+    def _without_legs(self, image: DepthImage, inbox: Inbox) -> DepthImage:
+        """Return an image without the robot's own legs, if their joints are known."""
+        legs = inbox.fresh(topics.ACTUATOR_STATE)
+        if legs is None or not self._check.has_expected_size(image):
+            return image
+        with self.stages("legs"):
+            points = apply(inverse(self._correction.T_body_camera), leg_points(self._profile, legs.q).reshape(-1, 3))
+            camera = self._camera
+            depth, removed = without_legs(image.depth, points.reshape(6, 4, 3), camera.intrinsics, camera.sensor)
+        return replace(image, depth=depth) if removed else image
 
     def _register(self, image: DepthImage, fault: str, motion: Motion, inbox: Inbox) -> RegistrationResult:
         """Register a frame and track its pose."""

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception
-from sextant.shared.geometry import Array, from_xyz_rpy, inverse, is_rigid, yaw_of
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, is_rigid, yaw_of
 from sextant.shared.robot.camera import Intrinsics
+from sextant.shared.robot.kinematics import body_inverse, leg_points
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox
@@ -419,3 +420,29 @@ def test_floor_is_published_at_10_hz_only_with_subscribers(world) -> None:  # ty
     assert all(not isinstance(m, FloorView) for messages in made for m in messages[:-1]), "it delays no scan"
     assert {len(view.inverse_depth) for view in views} == {len(block_centres(SMALL)[0])}
     assert np.isfinite(views[0].inverse_depth).any()
+
+
+def test_leg_before_the_camera_is_not_in_the_scan(world) -> None:  # type: ignore[no-untyped-def]
+    sensor = replace(PROFILE.camera.sensor, min_range=0.1)
+    camera, feet = replace(PROFILE.camera, sensor=sensor, mount_xyz=(0.0, 0.0, 0.2)), PROFILE.rest_feet()
+    feet[0] = [0.235, 0.085, -0.03]  # lifted high and ahead
+    q = body_inverse(PROFILE, feet)
+    rig = Rig(world, profile=replace(PROFILE, camera=camera))
+    p_knee, p_foot = apply(inverse(camera.T_body_camera), leg_points(PROFILE, q)[0, 2:])
+    point = p_knee + 0.4 * (p_foot - p_knee)
+    u, v = (round(f * point[k] / point[2] + c) for k, f, c in ((0, SMALL.fx, SMALL.cx), (1, SMALL.fy, SMALL.cy)))
+    assert 8 <= u < SMALL.width - 8
+    assert 8 <= v < SMALL.height - 8
+    picture = rig.picture(body_at(0.0))
+    picture[v - 6 : v + 7, u - 6 : u + 7] = round(point[2] * 1000)  # the shank
+
+    def nearest(with_legs: bool) -> float:
+        if with_legs:
+            state = actuator_state(PROFILE, q=q)
+            rig.inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), rig.now_ns + FRAME)
+        (scan,) = (m for m in rig.frame(body_at(0.0), depth=picture) if isinstance(m, Scan))
+        p_world = np.append(point, 1.0) @ (body_at(0.0) @ camera.T_body_camera).T
+        return float(np.linalg.norm(scan.points - p_world[:3], axis=1).min())
+
+    assert nearest(with_legs=False) < 0.02
+    assert nearest(with_legs=True) > 0.02
