@@ -29,6 +29,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.lateness import BEAT
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.servo.servo_model import Feedback
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Message, Mode, ModeCommand, StopOrder, Tick
 
@@ -90,14 +91,17 @@ class Actuator:
         off_ns = self._off.since_ns(clock()) if self._off.holds else -1
         self._authorization = authorization or (WalkAuthorization() if opener else WalkAuthorization.of_port(settings.port))
         handover_s = settings.unload_s + settings.load_s
-        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, handover_s, off_ns, self._authorization.order)
+        knows_pose = not self._joints.assumption
+        walk = self._authorization.order
+        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, handover_s, off_ns, walk, knows_pose)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
         self._legs = LegMonitor(profile)
+        self._has_touch = Feedback.POSITION in profile.servo_model.feedback  # else feet follow their plans
         self._horns = HornCorrection(settings.correct_horns)
         self._estimator = StateEstimator(profile, settings.contact, settings.touchdown)
         self._motion = MotionController(profile, settings, self._joints.goals)
-        self._report = StateReport(profile.foot.radius)
+        self._report = StateReport(profile.foot.radius, self._has_touch)
         self._follow_rate()
         self._bus_was_away = False  # whether the servo states were unknown in the last cycle
         self._take_over(torque, self._joints.read_loads())
@@ -125,7 +129,7 @@ class Actuator:
         suspended_s = self._clock.suspended_s()
         # 1. Measure joints, contact and body pose.
         with self.stages("bus read"):
-            self._read()
+            self._read(dt)
         read_ns = self._clock.now_ns()
         estimator.update(self._measured(), joints.load, motion.standing(joints.unsure), motion.executor.ground, dt)
         # 2. Obey orders: torque off first.
@@ -166,7 +170,7 @@ class Actuator:
 
     # ---------------------------------------------------------------------------------------------------- measurements
 
-    def _read(self) -> None:
+    def _read(self, dt: float) -> None:
         """Read legs that may meet ground, then the next servos of the rotation."""
         awaiting, touchdown = self._motion.executor.awaiting, self._estimator.touchdown
         touchdown.forget(~awaiting)
@@ -175,6 +179,9 @@ class Actuator:
         joints, check = self._joints, self._legs.goals
         check.note_goals(joints.goals.ravel().tolist())
         readings = joints.read(urgent)
+        if joints.assumption:
+            joints.assume(self._motion.goals.wanted, dt)
+            self._motion.goals.mark_all_read()
         lies_down = self._guard.mode not in _ON_FEET  # joints may be at their stops
         odd = (joints.unsure.ravel() | (joints.strength < 1.0) | lies_down).tolist()
         for reading in readings:
@@ -295,7 +302,8 @@ class Actuator:
         if not motion.changes_posture:
             motion.recover_legs(joints.torque_disabled, joints.unsure, estimator.feet_odom, joints.goals)
             awaiting, known, bus_ns = motion.executor.awaiting, ~motion.unsure_legs(joints.unsure), self._clock.now_ns()
-            contact = estimator.foot_contact(awaiting, joints.legs_without_torque, known, joints.goals, now_ns, bus_ns)
+            if self._has_touch:
+                contact = estimator.foot_contact(awaiting, joints.legs_without_torque, known, joints.goals, now_ns, bus_ns)
         goals, targets = motion.update(dt, estimator.odometry.T_odom_body, contact, joints.goals, joints.legs_without_torque)
         self._send(goals)
         if not motion.posture_is_reached:
@@ -311,6 +319,8 @@ class Actuator:
     def _watch_legs(self, dt: float) -> None:
         """Compare the legs with their goals and with each other, and correct their horns."""
         legs, walk = self._legs, self._motion.executor
+        if not self._has_touch:
+            return
         legs.check_goals()
         if self._guard.mode is not Mode.WALK or not walk.planned or self._joints.not_responding:
             legs.pause()
@@ -381,6 +391,7 @@ class Actuator:
         """Return the texts of all warnings; some are empty."""
         guard = self._guard
         return (
+            self._joints.assumption,
             self._motion.goals.warning,
             "" if guard.mode in _LYING else self._estimator.slip_warning,
             guard.tipped,

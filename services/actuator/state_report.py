@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.state_estimator import StateEstimator
 from sextant.services.actuator.locomotion.ground_contacts import Finding
@@ -12,14 +13,21 @@ from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import ActuatorState, Mode, Odometry
 
+ON_FEET = (Mode.HOLD, Mode.WALK, Mode.FAULT)  # modes in which the legs carry the body
+
 
 class StateReport:
     """Composes the messages; keeps what lasts from one state message to the next."""
 
-    def __init__(self, foot_radius: float):
-        """Begin without contacts; `foot_radius` [m] is the distance from a foot's centre to the ground."""
+    def __init__(self, foot_radius: float, has_touch: bool = True):
+        """Begin without contacts.
+
+        Args:
+            foot_radius: [m] from a foot's centre to the ground.
+            has_touch: Whether servos measure anything that shows contact; otherwise legs are assumed to stand as planned.
+        """
         self.T_world_odom: Array = np.eye(4)  # by the newest accepted plan
-        self._foot_radius = foot_radius
+        self._foot_radius, self._has_touch = foot_radius, has_touch
         self._touch_ns = np.full(6, -1, dtype=np.int64)  # contacts that feet have found, see ActuatorState
         self._touch = np.zeros((6, 3))
         self._touch_carries = np.zeros(6, dtype=np.bool_)
@@ -40,6 +48,10 @@ class StateReport:
         if due:
             self._sent = contents
         return due
+
+    def _assumed_contact(self, guard: Guard, motion: MotionController, joints: Joints) -> NDArray[np.bool_]:
+        """Return the legs (6,) that stand as planned; none unless the robot is on its feet."""
+        return motion.standing(joints.unsure) & (guard.mode in ON_FEET)
 
     def odometry(self, stamp_ns: int, estimator: StateEstimator, motion: MotionController, joints: Joints) -> Odometry:
         """Return the odometry message."""
@@ -78,7 +90,8 @@ class StateReport:
             step=walk.step,
             phase=float(walk.phase),
             swing=walk.swing.copy(),
-            contact=estimator.contact.legs & ~walk.flying,
+            contact=(estimator.contact.legs if self._has_touch else self._assumed_contact(guard, motion, joints))
+            & ~walk.flying,
             q=odometry.q - joints.offsets,
             load_nm=joints.load.copy(),
             feet=odometry.feet.copy(),

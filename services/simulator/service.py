@@ -23,6 +23,8 @@ from sextant.services.simulator.sensors.stamp_errors import StampErrors
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.host_link import EmulatedBus
+from sextant.services.simulator.servo_bus.pulse_board import make_board
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank, ServoVariation, make_servo_bank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.services.simulator.viewer import Viewer
@@ -152,12 +154,18 @@ class Simulator:
     def _wired(self, scenario: Scenario) -> BusFaults:
         """Return the servo bus with the faults of the scenario."""
         try:
-            wired = ServoBusEmulator(self._bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
+            wired = self._bus()
             bus = BusFaults(wired, self._bank, self._settings.seed, scenario.bus_faults)
         except ValueError as error:
             raise ConfigError(f"scenario {scenario.name}", [str(error)]) from None
         bus.origin_ns = None
         return bus
+
+    def _bus(self) -> EmulatedBus:
+        """Return the bus of the servos, or the board that sends them pulses."""
+        if self._profile.servo.pulses is not None:
+            return make_board(self._bank, self._profile.servo.pulses)
+        return ServoBusEmulator(self._bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
 
     def __enter__(self) -> Self:
         """Open the TCP ports of the servo bus, and the viewer if there is to be one, for a live run."""

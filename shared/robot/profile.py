@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from sextant.shared.files import config
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.servo import pwm
 from sextant.shared.servo.custom_model import ModelNumbers, custom_model
 from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import MODEL_NAMED
@@ -96,13 +97,21 @@ class Leg:
         config.verify(self)
 
 
-def _model(name: str, numbers: ModelNumbers | None) -> ServoModel | None:
-    """Return the servo model with a name; None if it is unknown, and its numbers are not stated."""
-    return MODEL_NAMED.get(name) if numbers is None else custom_model(name, numbers)
+def _model(name: str | None, numbers: ModelNumbers | None, pulses: pwm.Pulses | None) -> ServoModel | None:
+    """Return the servo model with a name; None if it is unknown, and neither its numbers nor its pulses are stated."""
+    if isinstance(pulses, pwm.Pulses):
+        return pwm.model_of(pulses)
+    return MODEL_NAMED.get(name or "") if numbers is None else custom_model(name or "", numbers)
 
 
-def _unknown_model(model: str, numbers: ModelNumbers | None) -> Iterator[config.Misfit]:
-    """Yield a model that is not known and has no numbers, or one that is known and has some."""
+def _unknown_model(model: str, numbers: ModelNumbers | None, pulses: pwm.Pulses | None) -> Iterator[config.Misfit]:
+    """Yield a model that is not known and has no numbers, or one that is known and has some; hobby servos have pulses."""
+    if (model == pwm.NAME) != (pulses is not None):
+        expected = f"a table [servo.pulses] with the model {pwm.NAME}, and with no other,"
+        yield config.Misfit("model", expected, repr(model))
+        return
+    if pulses is not None:
+        return
     if numbers is None and model not in MODEL_NAMED:
         known = ", ".join(MODEL_NAMED)
         yield config.Misfit("model", f"one of {known}, or another with its numbers in [servo.numbers],", repr(model))
@@ -111,11 +120,13 @@ def _unknown_model(model: str, numbers: ModelNumbers | None) -> Iterator[config.
 
 
 def _wrong_controller(
-    model: str, numbers: ModelNumbers | None, compliance_slope: int, position_gain: int
+    model: str, numbers: ModelNumbers | None, pulses: pwm.Pulses | None, compliance_slope: int, position_gain: int
 ) -> Iterator[config.Misfit]:
     """Yield the setting of the position controller that a servo of this model lacks, or does not have."""
-    found = _model(model, numbers)
-    if found is None:
+    found = _model(model, numbers, pulses)
+    if pulses is not None and (compliance_slope or position_gain):
+        yield config.Misfit("model", f"no compliance slope and no position gain for {model} servos", "one")
+    if found is None or pulses is not None:
         return
     has_slope = bool(found.table.compliance)
     needed, other = ("compliance_slope", "position_gain") if has_slope else ("position_gain", "compliance_slope")
@@ -140,6 +151,7 @@ class Servo:
     friction: float  # [N m] dry friction
     compliance_slope: int = 0  # of AX and RX servos, registers 28 and 29; 0 for others
     position_gain: int = 0  # proportional gain of the position controller of other servos
+    pulses: pwm.Pulses | None = None  # of hobby servos, model "PWM", and the board that sends them
     temperature_limit: float = 70.0  # [deg C] at which a servo shuts itself down
     lock_eeprom: bool = True  # after setup, id, baud rate and limits are read-only until the servo loses power
     numbers: ModelNumbers | None = None  # of a model that is not known
@@ -148,10 +160,10 @@ class Servo:
         *config.each("stall_torque no_load_speed stiffness", lambda value: 0 < value <= 1e4, "more than 0 and at most 10000"),
         *config.each("armature friction", lambda value: 0 <= value <= 100, "0 to 100"),
         *config.each("temperature_limit", lambda limit: 40 <= limit <= 99, "40 to 99 deg C"),
-        config.Check(("model", "numbers"), _unknown_model),
+        config.Check(("model", "numbers", "pulses"), _unknown_model),
         *config.each("compliance_slope", lambda slope: 0 <= slope <= 254, "a compliance slope from 1 to 254"),
         *config.each("position_gain", lambda gain: 0 <= gain <= 16383, "a position gain from 1 to 16383"),
-        config.Check(("model", "numbers", "compliance_slope", "position_gain"), _wrong_controller),
+        config.Check(("model", "numbers", "pulses", "compliance_slope", "position_gain"), _wrong_controller),
     )
 
     def __post_init__(self) -> None:
@@ -160,7 +172,9 @@ class Servo:
     @property
     def servo_model(self) -> ServoModel:
         """Registers and units of the servos."""
-        return MODEL_NAMED[self.model] if self.numbers is None else custom_model(self.model, self.numbers)
+        found = _model(self.model, self.numbers, self.pulses)
+        assert found is not None
+        return found
 
     @property
     def controller_settings(self) -> dict[Register, int]:
@@ -176,6 +190,8 @@ class Servo:
         model = self.servo_model
         if model.table.position_gain is not None:
             return self.stall_torque * self.position_gain * model.gain_stiffness
+        if not model.table.compliance:
+            return self.stiffness
         return self.stall_torque / (full_torque_ticks(self.compliance_slope) * model.units.tick_rad)
 
     @property
@@ -446,7 +462,7 @@ def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
 
 def _beyond_servo(servo: Servo, legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
     """Yield limits and ids that servos of the model do not have."""
-    model = _model(getattr(servo, "model", ""), getattr(servo, "numbers", None))
+    model = _model(*(getattr(servo, name, None) for name in ("model", "numbers", "pulses")))
     if model is None:
         return
     most = math.degrees(model.units.range_rad)

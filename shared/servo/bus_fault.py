@@ -77,6 +77,16 @@ GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
 )
 
 
+# Cells that hobby servos and the board of their pulses have. Such servos report nothing, and nothing measures their supply.
+WITHOUT_FEEDBACK: frozenset[tuple[FaultTarget, FaultKind]] = frozenset(
+    (target, kind)
+    for target, kind in GRID
+    if target in ("bytes", "bus")
+    or (target == "packets" and kind != "wrong")
+    or (target == "servo" and kind in ("silent", "intermittent", "jammed", "slipped", "jump", "drift", "weak"))
+)
+
+
 def _off_the_grid(target: FaultTarget, kind: FaultKind) -> Iterator[config.Misfit]:
     if (target, kind) not in GRID:
         known = ", ".join(k for t, k in GRID if t == target)

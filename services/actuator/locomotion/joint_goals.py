@@ -43,6 +43,10 @@ class JointGoals:
         """Note that a joint has just been read."""
         self._wanted_when_read[leg, joint] = self.wanted[leg, joint]
 
+    def mark_all_read(self) -> None:
+        """Note that the angles of all joints are those of now."""
+        self._wanted_when_read = self.wanted.copy()
+
     def measured(self, q: Array, without_torque: NDArray[np.bool_]) -> Array:
         """Estimate the present joint angles (6, 3) [rad].
 

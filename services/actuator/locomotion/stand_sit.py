@@ -138,6 +138,13 @@ def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
     return lying + wider, risen + wider
 
 
+def sit_pose(profile: RobotProfile) -> Array:
+    """Return the joint angles (6, 3) [rad] of a robot that lies on its belly and is about to stand up."""
+    q = body_inverse(profile, _lying_and_risen(profile)[0])
+    limits = profile.joint_limits
+    return np.asarray(np.clip(np.where(np.isfinite(q), q, 0.0), limits[..., 0], limits[..., 1]))
+
+
 def _outward(profile: RobotProfile, *stances: Array) -> Array:
     """Return outward offsets (6, 3) [m] {body} that bring all feet within reach.
 

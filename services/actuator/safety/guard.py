@@ -25,6 +25,7 @@ from sextant.shared.wire.messages import Mode, ModeCommand, StepPlan, StopOrder
 
 DEADLINE_NS = 180_000_000  # [ns] that a walk continues without a new plan
 OBJECTION_NS = 5_000_000_000  # [ns] for which the refusal of an order is reported
+LIE_DOWN_FIRST = "lay the robot on its belly, with its legs as it sits; then order `ready`: the legs jump one after another"
 PLAN_REFUSAL_NS = 1_000_000_000  # [ns] for which the refusal of a plan is reported if no newer plan arrives
 
 
@@ -73,6 +74,7 @@ class Guard:
         handover_s: float = 0.0,
         off_ns: int = -1,
         walk: WalkOrder | None = None,
+        knows_pose: bool = True,
     ):
         """Start in the present torque state; torque that is on stays on.
 
@@ -84,9 +86,12 @@ class Guard:
             handover_s: [s] of a step in which its swinging feet are still or again on the ground.
             off_ns: [ns] time of the torque-off order that is still in force; -1 without one.
             walk: The walk order that was in force when the previous process ended.
+            knows_pose: Whether the joints are measured. If not, they jump to the sit pose when torque is turned on.
         """
         self.mode = Mode.HOLD if torque else Mode.OFF
-        self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
+        begin = "order `stand` to begin" if knows_pose else LIE_DOWN_FIRST
+        self.reason = "torque was on at the start" if torque else f"torque is off; {begin}"
+        self._knows_pose = knows_pose
         self.refused = ""  # why the newest plan was refused
         self._refused_at_ns = 0  # [ns] when that was
         self._late_since_ns: int | None = None  # [ns] since when only revisions of ended steps have arrived
@@ -193,6 +198,8 @@ class Guard:
         if self.mode is Mode.WALK:
             return self._stop()
         why = self._torque_refusal
+        if not self._knows_pose and self.mode is Mode.OFF:
+            why = why or f"the pose of the legs is unknown; {LIE_DOWN_FIRST}"
         if why or self.mode is Mode.FAULT:
             self.objection = f"`stand` refused: {why or 'feet are being set down'}"
             return ()

@@ -10,6 +10,7 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
 from sextant.services.actuator.servo_bus import shutdown
+from sextant.services.actuator.servo_bus.assumed_motion import WORDS, AssumedMotion
 from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
 from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Servos, connect
@@ -68,6 +69,8 @@ class Joints:
         self._tried_ns = clock()
         self._since_ns = -1  # since when the bus has been read without a gap
         self.gone = ""  # why there is no bus, or an empty string
+        has_position = Feedback.POSITION in profile.servo_model.feedback
+        self._assumed = None if has_position else AssumedMotion(profile)
         self._torque_loss = TorqueLossCheck()
         self._tolerated = int(settings.bridge)  # unanswered requests: readings from a bridge may be a cycle old
         self._catching_up = CatchingUp()
@@ -87,6 +90,11 @@ class Joints:
     def close(self) -> None:
         """Close the port; the servos keep their torque and goals."""
         self._bus.close()
+
+    @property
+    def assumption(self) -> str:
+        """That the joint angles are assumed, or an empty string."""
+        return WORDS if self._assumed else ""
 
     @property
     def trouble(self) -> str:
@@ -166,12 +174,31 @@ class Joints:
             readings = self._bus.poll(self._budget_ns, urgent)
             for reading in readings:
                 self._store_reading(reading)
-            self._check_torque_loss(readings)
+            self._check_torque_loss([reading.index for reading in readings] if self._assumed is None else self._reached)
             self._check_silence()
         except BusDisconnectedError as error:
             self._disconnect(error)
             return []
         return readings
+
+    @property
+    def _reached(self) -> range:
+        """Servos (0 to 17) without feedback whose board answers."""
+        return range(18 if self._bus.newest_age_s < _NO_READING_S else 0)
+
+    def assume(self, wanted: Array, dt: float) -> None:
+        """Move the joints on towards wanted angles (6, 3) [rad] for `dt` [s], if their servos do not report positions.
+
+        While goals do not arrive, the joints stay where they are.
+        """
+        if self._assumed is None or self.gone or self.trouble:
+            return
+        before, limits, now_ns = self.q, self._catching_up.speed_limits.reshape(6, 3), self._clock()
+        self.q = self._assumed.follow(self.q, wanted, self.torque.reshape(6, 3), limits, dt)
+        if self._catching_up.all_behind or self._catching_up.behind.any():
+            speeds, off = (self.q - before) / dt, self.q - self.goals
+            for index in range(18):
+                self._catching_up.note_reading(index, now_ns, float(off.flat[index]), float(speeds.flat[index]))
 
     def write(self, q_goal: Array) -> None:
         """Send goals (6, 3) [rad] to all servos; without a bus, only store them.
@@ -213,6 +240,9 @@ class Joints:
         Only an operator's order calls this. A joint beyond its limit returns to the limit slowly.
         """
         self._off_ordered = False
+        if self._assumed is not None:  # torque may have been lost since it was last read, and the joints with it
+            self.torque = np.array([bool(self._bus.read(i, self._table.torque_enable)) for i in self._bus.servo_ids])
+            self.q = np.where(self.torque.reshape(6, 3), self.q, self._assumed.sit_pose)
         weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
         restored = (~self.torque | weak).reshape(6, 3)
         clipped = self._clipped_to_limits(self.q)
@@ -311,9 +341,9 @@ class Joints:
         else:
             self._catching_up.update_all_behind(self._clock())
 
-    def _check_torque_loss(self, readings: list[ServoReading]) -> None:
-        """Read Torque Enable of a few servos, and keep which ones have lost torque."""
-        for index in self._torque_loss.due([reading.index for reading in readings], self.torque):
+    def _check_torque_loss(self, answering: Iterable[int]) -> None:
+        """Read Torque Enable of a few servos that answer, and keep which ones have lost torque."""
+        for index in self._torque_loss.due(answering, self.torque):
             enabled = self._bus.read(self._bus.servo_ids[index], self._table.torque_enable)
             if enabled is not None:
                 self.torque[index] = bool(enabled)
@@ -377,6 +407,8 @@ class Joints:
         self.strength = np.minimum(limits / np.maximum(max_torque, 1), 1.0)
         position = self._profile.servo_model.position
         self.q, goal_angles = self._angles(map(position, ticks.tolist())), self._angles(goals)
+        if self._assumed is not None:
+            self.q = self._assumed.start(goal_angles, self.torque.reshape(6, 3))
         spring = np.where(self.torque.reshape(6, 3), goal_angles - self.q, 0.0) * self._profile.servo.stiffness
         most = self._profile.servo.stall_torque
         # Earlier readings may be those of a moving robot.

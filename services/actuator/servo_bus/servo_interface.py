@@ -1,4 +1,4 @@
-"""Interface to the servos: on a Dynamixel bus, or behind a microcontroller bridge."""
+"""Interface to the servos: on a bus, behind a microcontroller bridge, or behind a board that sends pulses."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -18,6 +18,7 @@ from sextant.services.actuator.servo_bus.bus_driver import (
     open_port,
 )
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
+from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import Register, ServoModel
 
@@ -138,6 +139,8 @@ class PortFinder:
 def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
     """Return the robot's servos on an open port."""
     model, names, lock = profile.servo_model, profile.servo_names, profile.servo.lock_eeprom
+    if profile.servo.pulses is not None:
+        return PwmServos(port, list(names), clock, profile.servo.pulses)
     if settings.bridge:
         return Bridge(port, list(names), clock, model=model, names=names, lock=lock)
     return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo, lock=lock)

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
-from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
-from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, Reply
+from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, EmulatedBus, Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
-from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo import pwm
+from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK, BusFault
 from sextant.shared.servo.servo_model import BusProtocol, ControlTable, ServoError
 from sextant.shared.wire.messages import FaultTarget
 
@@ -88,8 +88,12 @@ def row_of(fault: BusFault, ids: Sequence[int], table: ControlTable) -> int:
     """Return the index of a fault's servo among all ids; -1 without a servo.
 
     Raises:
-        ValueError: The servo does not exist, or its goal register does not have the bit of the fault.
+        ValueError: The servo does not exist, or servos with this table do not have the fault, or the bit of the fault.
     """
+    if table is pwm.TABLE and (
+        (fault.target, fault.kind) not in WITHOUT_FEEDBACK or (fault.target == "packets" and fault.servo >= 0)
+    ):
+        raise ValueError(f"{fault}: a fault that is possible without feedback expected; hobby servos report nothing")
     last_bit = table.goal_position.max.bit_length() - 1
     if (fault.target, fault.kind) == ("servo", "bit") and fault.bit > last_bit:
         raise ValueError(f"{fault}: a bit from 0 to {last_bit} of the goal register expected, found {fault.bit}")
@@ -101,7 +105,7 @@ def row_of(fault: BusFault, ids: Sequence[int], table: ControlTable) -> int:
 class BusFaults(AnswersOnly):
     """Bus with faults, which has the interface of `ServoBusEmulator`."""
 
-    def __init__(self, bus: ServoBusEmulator, bank: ServoBank, seed: int = 0, faults: Iterable[BusFault] = ()) -> None:
+    def __init__(self, bus: EmulatedBus, bank: ServoBank, seed: int = 0, faults: Iterable[BusFault] = ()) -> None:
         """Wrap a bus.
 
         Args:

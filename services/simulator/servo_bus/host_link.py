@@ -4,7 +4,7 @@ It covers replies with their times of arrival, and the state of the adapter.
 """
 
 from bisect import insort
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple, Protocol
 
 
@@ -41,6 +41,18 @@ class HostLink(Protocol):
 
     def unsolicited_replies(self, now_ns: int) -> list[Reply]:
         """Return the unsolicited replies up to a time [ns]."""
+
+
+class EmulatedBus(HostLink, Protocol):
+    """Protocol of the servos' bus, or of a board that sends them pulses."""
+
+    overhear: Callable[[bytes, int], object]  # receives the arriving bytes and their time [ns]
+
+    def cut_off(self, rows: frozenset[int]) -> None:
+        """Disconnect the servos in these rows from the bus, and connect all others."""
+
+    def advance(self, now_ns: int) -> None:
+        """Apply what has reached the servos by a time [ns]."""
 
 
 class AnswersOnly:

@@ -75,6 +75,9 @@ XL430_W250_MOTOR = Motor(stall_torque=1.4, stall_current=1.3, standby_current=0.
 XC430_W150_MOTOR = Motor(stall_torque=1.6, stall_current=1.4, standby_current=0.046)  # at 12 V
 XC430_W240_MOTOR = Motor(stall_torque=1.9, stall_current=1.4, standby_current=0.046)  # at 12 V
 XM430_W350_MOTOR = Motor(stall_torque=4.1, stall_current=2.3, standby_current=0.04)  # at 12 V
+# A DS3218 at 6.8 V. A battery behind a step-down converter keeps this voltage.
+PWM_MOTOR = Motor(stall_torque=2.11, stall_current=2.3, standby_current=0.005)
+PWM_SUPPLY = Supply(full_voltage=6.8, empty_voltage=6.8, resistance=0.01)
 AX_18A_MOTOR = Motor(stall_torque=1.8, stall_current=2.2)
 AX_12W_MOTOR = Motor(stall_torque=0.2, stall_current=1.4)
 MOTOR_AND_SUPPLY = {
@@ -258,6 +261,8 @@ class ServoBank:
         charge: float = 1.0,
         temperature: float | None = None,
         variation: ServoVariation | None = None,
+        stiffness: float = 0.0,
+        dead_band_rad: float = 0.0,
     ) -> None:
         """Create servos with factory values and torque off.
 
@@ -271,6 +276,8 @@ class ServoBank:
             charge: Initial charge of the battery, 0 to 1.
             temperature: Initial temperature of the motors [deg C], ambient by default.
             variation: Deviations from the data sheet, none by default.
+            stiffness: [N m/rad] of servos without registers for it.
+            dead_band_rad: [rad] change of the goal that these servos ignore.
 
         Raises:
             ValueError: An id is out of range or not unique, or the charge is outside 0 to 1.
@@ -284,6 +291,7 @@ class ServoBank:
         self.motor = motor
         self._variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
         self._stall_torque = motor.stall_torque * self._variation.torque  # (n,) [N m]
+        self._spring, self._dead_band_rad = stiffness, dead_band_rad
         self.slipped = np.zeros(n)  # (n,) [rad] by which each encoder is ahead of its link
         self.protection = protection or Protection()
         p = self.protection
@@ -525,7 +533,7 @@ class ServoBank:
             self._tripped |= self._active_faults.tripped
             tripped = bool(self._tripped.any())
         if tripped:
-            self._latched_errors |= self._tripped
+            self._latched_errors |= self._tripped & np.uint8(self.model.errors)  # a servo that reports none has no protection
             kinds = np.array([self._shuts_down_for(row) for row in range(len(self))])
             down = (self._tripped & kinds != 0) & (self._shut_down_by != 0)
             if down.any():
@@ -601,6 +609,10 @@ class ServoBank:
             share = self.column(table.position_gain) * self.model.gain_stiffness
             self._stiffness[:] = self._stall_torque * share * self._variation.stiffness
             return
+        if not table.compliance:
+            self._margin[:] = self._dead_band_rad / 2 + self._variation.backlash / 2
+            self._stiffness[:] = self._spring * self._variation.stiffness
+            return
         for i, (margin, slope) in enumerate(zip(table.compliance[:2], table.compliance[2:], strict=True)):
             self._margin[i] = self.column(margin) * self._units.tick_rad + self._variation.backlash / 2
             steps = np.array([full_torque_ticks(value) for value in self.column(slope).tolist()])
@@ -664,13 +676,18 @@ def make_servo_bank(
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
     model, n = servo.servo_model, len(servo_ids)
+    dead_band_rad = servo.pulses.dead_band_us / servo.pulses.us_per_rad if servo.pulses else 0.0
     variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
     variation = replace(variation, stiffness=variation.stiffness * servo.stiffness / servo.nominal_stiffness)
-    return ServoBank(servo_ids, model, motor, supply=supply, q=q, variation=variation)
+    return ServoBank(
+        servo_ids, model, motor, supply=supply, q=q, variation=variation, stiffness=servo.stiffness, dead_band_rad=dead_band_rad
+    )
 
 
 def _motor_and_supply(servo: Servo) -> tuple[Motor, Supply]:
     """Return motor and supply of a servo's model; those of a model by its numbers have its current and voltages."""
+    if servo.pulses is not None:
+        return PWM_MOTOR, PWM_SUPPLY
     if servo.numbers is None:
         return MOTOR_AND_SUPPLY[servo.model]
     motor, supply = MOTOR_AND_SUPPLY[servo.numbers.like]

@@ -29,5 +29,5 @@ def test_mixed_and_unknown_faults_are_refused(capsys: pytest.CaptureFixture[str]
 def test_live_faults_of_another_robot_and_unknown_robots_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["faults", "live-hogs", "--robot", "printed_sts3215"]) == WRONG_INPUT
     assert "phantomx_mk2 expected with live faults" in capsys.readouterr().err
-    assert main(["faults", "sag", "--robot", "printed"]) == WRONG_INPUT
+    assert main(["faults", "sag", "--robot", "printed_sts"]) == WRONG_INPUT
     assert "printed_sts3215" in capsys.readouterr().err
