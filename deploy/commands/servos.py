@@ -13,7 +13,7 @@ from itertools import groupby
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from sextant.deploy.commands import options
+from sextant.deploy.commands import options, pulse_servos
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
 from sextant.deploy.terminal.arguments import Choice, Group, Parsed, flag, number, option, options_of
 from sextant.deploy.terminal.interrupts import Interrupts
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.services.actuator.servo_bus.bus_scan import Problem
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
-    from sextant.shared.robot.profile import RobotProfile
+    from sextant.services.actuator.servo_bus.servo_interface import Servos
+    from sextant.shared.robot.profile import Calibration, RobotProfile
     from sextant.shared.servo.servo_model import ServoModel
 
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
@@ -115,6 +116,8 @@ def scan(bus: Bus, ids: range | None, all_rates: bool, as_json: bool) -> int:
     from sextant.services.actuator.commissioning import set_ids
 
     profile = _profile(bus.robot)
+    if profile.servo.pulses is not None:
+        return pulse_servos.scan(bus.port, profile, as_json)
     ids = set_ids.all_ids(profile.servo_model) if ids is None else ids
     with _line(bus, profile, all_rates) as line:
         unanswered = _triage(bus, profile, line.rates, ids)
@@ -158,7 +161,7 @@ def off(bus: Bus, bridge: bool) -> int:
     unlatched = _latch_off(bus.port)
     with _ended_once():
         try:
-            servo_bus = _bridge(bus.port, profile) if bridge else _open(bus, profile)
+            servo_bus = _servos(bus, profile, bridge)
         except BusDisconnectedError as error:
             used = getattr(error.__cause__, "errno", None) in (errno.EAGAIN, errno.EBUSY)
             lets_go = "torque is latched off: an actuator on this port turns it off at once, or as soon as its servos respond"
@@ -216,6 +219,8 @@ def set_id(bus: Bus) -> int:
     from sextant.services.actuator.commissioning import set_ids
 
     profile = _profile(bus.robot)
+    if profile.servo.pulses is not None:
+        return pulse_servos.set_id()
     with _line(bus, profile) as line:
         return SUCCESS if set_ids.set_ids(line, profile, Terminal()) else FAILED
 
@@ -248,12 +253,18 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
     except ValueError as error:
         raise InputError(f"--pose: {error}") from None
     say(f"calibrating {', '.join(chosen)} into {path}" + (f"; already calibrated: {', '.join(known)}" if known else ""))
+
+    def keep(entry: "Calibration") -> None:
+        say(f"{entry.leg}: written to {profile_file.change(path, base, legs=(entry,)) and path}")
+
+    if profile.servo.pulses is not None:
+        return pulse_servos.calibrate(bus.port, profile, Terminal(yes), keep, tuple(chosen), angles)
     with _line(bus, profile) as line:
         done = calibration.calibrate(
             line.at(line.rates[0]),
             profile,
             Terminal(yes),
-            lambda entry: say(f"{entry.leg}: written to {profile_file.change(path, base, legs=(entry,)) and path}"),
+            keep,
             date.today(),
             legs=chosen,
             pose_deg=angles,
@@ -272,6 +283,8 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
     from sextant.shared.robot.profile import LEGS
 
     profile = _profile(bus.robot)
+    if profile.servo.pulses is not None:
+        return pulse_servos.test(bus.port, profile, Terminal(yes), legs or LEGS)
     hold = torque == "on" if torque else (False if yes else None)
     with _line(bus, profile) as line:
         moved = run_joint_test(
@@ -296,11 +309,18 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
     import numpy as np
 
     try:
+        from sextant.services.simulator.servo_bus import pulse_bench
         from sextant.services.simulator.servo_bus.bench_emulator import HELP, BenchEmulator
+        from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
         from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     except ImportError as error:
         raise InputError(f"{error}; emulated servos need it: pip install -e '.[simulator]'") from None
-    bench = BenchEmulator(_profile(robot), np.random.default_rng(seed), fresh=fresh)
+    profile = _profile(robot)
+    bench: PulseBench | BenchEmulator
+    if profile.servo.pulses is not None:
+        bench, commands = PulseBench(profile), pulse_bench.HELP
+    else:
+        bench, commands = BenchEmulator(profile, np.random.default_rng(seed), fresh=fresh), HELP
     try:
         server = TcpBusServer(bench, port=listen, rejects_others=True)
     except OSError as error:
@@ -309,7 +329,7 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
         of_robot = "" if robot == "phantomx_mk2" else f" --robot {robot}"
         command = f"sextant servos {'set-id' if fresh else 'scan'} --port {server.url}{of_robot}"
         say(f"servos on {server.url}; in another terminal: {command}")
-        say(f"{bench.execute('list')}; type {HELP}")
+        say(f"{bench.execute('list')}; type {commands}")
         for line in sys.stdin:
             if line.strip() in ("quit", "q"):
                 return SUCCESS
@@ -385,6 +405,15 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "Se
         echo=bus.echo,
         reply_timeout_ns=patience,
     )
+
+
+def _servos(bus: Bus, profile: "RobotProfile", bridge: bool) -> "Servos":
+    """Open the servos of a robot on their bus, behind a microcontroller or behind a board that sends pulses."""
+    from sextant.services.actuator.commissioning.pulse_commissioning import open_servos
+
+    if profile.servo.pulses is not None:
+        return open_servos(bus.port, profile, time.monotonic_ns)
+    return _bridge(bus.port, profile) if bridge else _open(bus, profile)
 
 
 def _bridge(port: str, profile: "RobotProfile") -> "Bridge":

@@ -6,6 +6,7 @@ The servo checks include voltage and temperature. Nothing is moved and nothing i
 import os
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -82,6 +83,9 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, open_port
     from sextant.services.actuator.servo_bus.bus_scan import problems
 
+    if profile.servo.pulses is not None:
+        yield from board(port, profile)
+        return
     name, names, model = f"servo port {port}", profile.servo_names, profile.servo_model
     try:
         opened = open_port(port, timeout_ns=_PATIENCE_NS)
@@ -114,6 +118,23 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     if wrong_settings := hampered(right, profile):
         words = "; ".join(problem.words for problem in wrong_settings)
         yield Check("servo settings", Level.WARN, words, wrong_settings[0].advice)
+
+
+def board(port: str, profile: "RobotProfile") -> Iterator[Check]:
+    """Check that the board answers that sends pulses to hobby servos; the servos themselves cannot be checked."""
+    from sextant.services.actuator.commissioning.pulse_commissioning import NO_FEEDBACK, channels, open_servos
+    from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError
+
+    name = f"servo port {port}"
+    try:
+        with closing(open_servos(port, profile, time.monotonic_ns)) as opened:
+            found = channels(opened, profile)
+    except (BusDisconnectedError, BusSetupError) as error:
+        yield Check(name, Level.FAIL, str(error), "check the board's power and cable, or give another port with --port")
+        return
+    pulses = sum(bool(one.width_us) for one in found)
+    yield Check(name, Level.OK, f"the board answers; it sends pulses on {pulses} of {len(found)} channels")
+    yield Check("servo feedback", Level.WARN, NO_FEEDBACK, "watch the legs and the battery yourself")
 
 
 def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan], bool]":

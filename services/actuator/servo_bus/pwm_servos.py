@@ -105,6 +105,10 @@ class PwmServos:
         """Time [s] since the newest request that the board has answered, infinite before the first."""
         return (self._clock() - self._answered_ns) * 1e-9 if self._answered_ns >= 0 else math.inf
 
+    def width_us(self, ticks: int) -> float:
+        """Return the pulse width [us] of a goal [ticks]."""
+        return self._pulses.width_us(ticks)
+
     def close(self) -> None:
         """Close the port; the board goes on with the last pulses."""
         self._port.close()

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import serial
 from serial.urlhandler import protocol_socket
 
-from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.services.actuator.servo_bus import i2c_port, usb_adapter
 from sextant.shared.errors import SextantError
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold, limit_of
@@ -120,7 +120,7 @@ class Lost(StrEnum):
 
 
 def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
-    """Open a serial device (`/dev/ttyUSB0`) or a network port (`socket://host:port`).
+    """Open a serial device (`/dev/ttyUSB0`), an I2C bus (`/dev/i2c-1`) or a network port (`socket://host:port`).
 
     Args:
         url: Anything `serial.serial_for_url` takes.
@@ -130,6 +130,8 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     Raises:
         BusDisconnectedError: The port cannot be opened.
     """
+    if url.startswith(i2c_port.PREFIX):
+        return _open_i2c(url)
     address = re.fullmatch(r"(socket|rfc2217)://[^/]+:(\d{1,5})([/?].*)?", url)
     if url.startswith(("socket://", "rfc2217://")) and (address is None or int(address[2]) > _LAST_PORT):
         raise BusDisconnectedError(f"cannot open servo port {url}: {_EXPECTED} expected")
@@ -152,6 +154,15 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     if slow := usb_adapter.lower_latency(url, port):
         log.warning(slow)
     return port
+
+
+def _open_i2c(path: str) -> Port:
+    """Open an I2C bus of boards that send pulses."""
+    try:
+        return i2c_port.I2cPort(path)
+    except OSError as error:
+        advice = "enable I2C on this computer" if error.errno == errno.ENOENT else "join the group i2c, then log in again"
+        raise BusDisconnectedError(f"cannot open I2C bus {path}: {error.strerror}; {advice}") from error
 
 
 def _errno(error: Exception) -> int | None:

@@ -1,0 +1,124 @@
+"""Commissioning of hobby servos on an emulated board, with a scripted operator."""
+
+from dataclasses import replace
+from datetime import date
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.commissioning import pulse_commissioning
+from sextant.services.actuator.commissioning.torque_off import torque_off
+from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
+from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
+from sextant.shared.robot.profile import Calibration, RobotProfile
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo.pwm import Board
+
+TODAY = date(2026, 7, 30)
+
+
+class Operator:
+    """Person with prepared answers."""
+
+    absent = False
+
+    def __init__(self, answers: str = "", agrees: bool = True) -> None:
+        self.answers = answers.split(",")
+        self.agrees = agrees
+        self.told: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.told.append(text)
+
+    def ask(self, question: str) -> str:
+        self.told.append(question)
+        return self.answers.pop(0)
+
+    def agree(self, question: str) -> bool:
+        self.told.append(question)
+        return self.agrees
+
+
+class Rig:
+    """Robot on a workbench, in virtual time."""
+
+    def __init__(self, board: Board) -> None:
+        profile = load_profile("printed_ds3218")
+        assert profile.servo.pulses is not None
+        self.pulses = replace(profile.servo.pulses, board=board)
+        self.profile: RobotProfile = replace(profile, servo=replace(profile.servo, pulses=self.pulses))
+        self.bench = PulseBench(self.profile)
+        self.now_ns = 0
+        self.port = MemoryPort(self.bench, lambda: self.now_ns)
+        self.servos = PwmServos(self.port, list(profile.servo_names), self.port.now_ns, self.pulses)
+
+    def pause(self, seconds: float) -> None:
+        self.now_ns = self.port.now_ns() + round(seconds * 1e9)
+
+    @property
+    def with_pulses(self) -> list[str]:
+        return [one.joint for one in pulse_commissioning.channels(self.servos, self.profile) if one.width_us]
+
+
+@pytest.fixture(params=["maestro", "pca9685"])
+def rig(request: pytest.FixtureRequest) -> Rig:
+    return Rig(request.param)
+
+
+def test_channels_are_listed_with_their_pulses(rig: Rig) -> None:
+    rig.servos.setup()
+    channel = int(rig.profile.servo_ids[2, 1])
+    rig.servos.write(channel, rig.servos.model.table.goal_position, rig.servos.model.units.centre)
+    rig.servos.write(channel, rig.servos.model.table.torque_enable, 1)
+    found = pulse_commissioning.channels(rig.servos, rig.profile)
+    assert len(found) == 18
+    one = found[channel]
+    assert (one.number, one.joint) == (channel, "right middle femur")
+    assert one.width_us == pytest.approx(1500.0, abs=3.0)
+    assert sum(other.width_us > 0.0 for other in found) == 1
+    assert pulse_commissioning.in_words(found).count("no pulses") == 17
+
+
+def test_trims_are_the_typed_changes(rig: Rig) -> None:
+    kept: list[Calibration] = []
+    operator = Operator("2,0.5,,-3,,much,20,,")
+    done = pulse_commissioning.calibrate(
+        rig.servos, rig.profile, operator, kept.append, TODAY, legs=["left front"], pose_deg=(0.0, 0.0, 0.0)
+    )
+    assert done
+    assert kept[0].leg == "left front"
+    np.testing.assert_allclose(kept[0].trims_deg, (2.5, -3.0, 0.0), atol=0.05)
+    assert any("degrees from -5 to 5 expected, found 'much'" in words for words in operator.told)
+    assert any("found '20'" in words for words in operator.told)
+    assert rig.with_pulses == []
+
+
+def test_calibration_moves_nothing_unless_the_operator_agrees_and_ends_at_a_wish(rig: Rig) -> None:
+    kept: list[Calibration] = []
+    arguments = (rig.servos, rig.profile)
+    for operator in (Operator(agrees=False), Operator("q")):
+        done = pulse_commissioning.calibrate(
+            *arguments, operator, kept.append, TODAY, legs=["left front"], pose_deg=(0.0, 0.0, 0.0)
+        )
+        assert not done
+        assert not kept
+        assert rig.with_pulses == []
+
+
+def test_each_joint_is_moved_alone_and_torque_is_off_afterwards(rig: Rig) -> None:
+    operator = Operator()
+    wrong = pulse_commissioning.run_joint_test(rig.servos, rig.profile, operator, rig.pause, legs=["left front", "left rear"])
+    assert wrong == []
+    assert sum("did it turn" in words for words in operator.told) == 6
+    assert rig.with_pulses == []
+    operator.agrees = False
+    assert pulse_commissioning.run_joint_test(rig.servos, rig.profile, operator, rig.pause, legs=["left front"]) is None
+
+
+def test_torque_off_is_confirmed_by_the_board(rig: Rig) -> None:
+    rig.servos.setup()
+    rig.servos.write(3, rig.servos.model.table.torque_enable, 1)
+    assert rig.with_pulses == ["right front coxa"]
+    assert torque_off(rig.servos) == {}
+    assert rig.with_pulses == []
