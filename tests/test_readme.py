@@ -112,6 +112,7 @@ RUN_BY = {
     "keys new": "tests/unit/deploy/security/test_router_security.py::test_new_keys_are_private_and_never_overwritten",
     "benchmarks servos": "tests/unit/benchmarks/test_bench_servos.py::test_servos_command_writes_figures",
     "servos set-id": "tests/test_commissioning.py::test_commissioning_tutorial_runs_as_written",
+    "servos scan": "tests/unit/deploy/test_pulse_servos_command.py::test_scan_lists_channels_and_says_that_nothing_is_measured",
     "servos emulate": "tests/test_commissioning.py::test_commissioning_tutorial_runs_as_written",
     "doctor": "tests/unit/deploy/test_cli.py::test_doctor_exit_code_follows_failed_checks",
 }

@@ -7,6 +7,7 @@ from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
 from sextant.deploy.terminal.arguments import argument, command, flag, option
 from sextant.shared.files import whole_files
+from sextant.shared.robot.profiles import load_profile
 
 _PHASES, _LIVE_PHASES = 300, 30
 
@@ -53,6 +54,10 @@ def faults(
     live, robot = kinds == {True}, options.checked_robot(robot)
     if live and robot != SCENARIO.robot:
         raise InputError(f"--robot: {SCENARIO.robot} expected with live faults, found {robot}; other robots walk in lockstep")
+    if load_profile(robot).servo.pulses is not None:
+        raise InputError(
+            f"--robot: a robot on a servo bus expected, found {robot}, whose goals are pulses; see docs/hobby_servos.md"
+        )
     folder = out_folder(out, "faults")
     from benchmarks.faults import table as tables
     from benchmarks.faults.batch import FILE, run_faults

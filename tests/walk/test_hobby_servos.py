@@ -122,7 +122,7 @@ def test_a_board_that_restarts_gives_no_torque_by_itself(board: Board) -> None:
     walk.run.run(walk.run.now_ns() + 3 * S)
     assert walk.torque == 0
     assert walk.state.mode is Mode.FAULT
-    assert "restarted" in walk.state.reason
+    assert "restart" in walk.state.reason
     state = walk.order("walk", 1.0)
     assert (state.mode, walk.torque) == (Mode.FAULT, 0)
     walk.order("ready", 6.0)

@@ -1,7 +1,7 @@
 """Driver for hobby servos behind a board that sends pulses. They report nothing.
 
-Goals, torque and speeds are kept here, in the form of registers; `pwm.TABLE` lists them. What a servo would have to measure is
-never returned. Torque on makes a servo jump to its goal, so the legs get their pulses one after another.
+Goals, torque and speeds are kept here, in the form of registers; `pwm.TABLE` lists them. Measured values are never
+returned. Torque on makes a servo jump to its goal, so the legs get their pulses one after another.
 
 It uses no thread and no sleep; time comes from a clock argument.
 """
@@ -46,7 +46,7 @@ class PwmServos:
         self.servo_ids = tuple(channels)
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # servos report none
         self.between: Callable[[], None] = _nothing  # called before each request outside the loop
-        self._has_restarted = False  # whether the board did not send the pulses that it should, until torque is turned on
+        self._lost_pulses = 0  # servos without the pulses that they should have, until torque is turned on
         self._port, self._clock, self._pulses = port, clock, pulses
         self._board: PulseBoard = open_board(port, pulses)
         self._goals = np.full(n, self.model.units.centre, dtype=np.float64)  # (n,) [ticks]
@@ -76,8 +76,9 @@ class PwmServos:
         if self._answered_ns >= 0 and now_ns - self._answered_ns > _SILENT_NS and self._unanswered:
             other = ", or its pulses are others than ordered," if self.lost[_OTHER] else ""
             return f"the board of the servos has been silent{other} for {(now_ns - self._answered_ns) * 1e-9:.1f} s"
-        if self._has_restarted:
-            return "the board has lost its pulses, so it has restarted: torque is off; lay the robot down, then order `ready`"
+        if self._lost_pulses:
+            lost = f"the pulses of {self._lost_pulses} servos are lost, as after a restart of their board"
+            return f"{lost}: these have no torque; lay the robot down, then order `ready`"
         waiting = self._enabled & (self._powered_from_ns > now_ns)
         if waiting.any() or self._is_turning:
             done = int(np.count_nonzero(self._enabled & ~waiting)) // _PER_LEG
@@ -222,8 +223,8 @@ class PwmServos:
             for _ in range(2):  # it is not acknowledged
                 self._board.end_pulses(self.servo_ids)
             return
-        if self._has_restarted and not self._board.open(self.servo_ids):
-            self._has_restarted = False
+        if self._lost_pulses and not self._board.open(self.servo_ids):
+            self._lost_pulses = 0
         off = np.flatnonzero(~self._enabled)
         legs = off // _PER_LEG
         turn = np.searchsorted(np.unique(legs), legs)
@@ -258,7 +259,7 @@ class PwmServos:
     def _read_torque(self, index: int) -> int | None:
         """Return whether a servo has torque, or waits for its first pulses; None without an answer of the board.
 
-        Turn all torque off if the servo has lost its pulses.
+        A servo that has lost its pulses gets none until torque is turned on, and so do all others that have lost theirs.
         """
         for _ in range(1 + _REPEATS):
             width_us = self._ask(self.servo_ids[index])
@@ -266,8 +267,10 @@ class PwmServos:
                 return None
             if width_us or not self._is_powered(index):
                 return int(bool(width_us) or bool(self._enabled[index]))
-        self.set_torque(False)
-        self._has_restarted = True
+        self._enabled[index] = False
+        for other, channel in enumerate(self.servo_ids):  # before the next goals, which would turn their torque on again
+            self._enabled[other] &= not self._is_powered(other) or self._ask(channel) != 0.0
+        self._lost_pulses = int(np.count_nonzero(~self._enabled))
         return 0
 
     def _send(self) -> None:

@@ -12,6 +12,7 @@ from sextant.services.actuator.servo_bus import mcu_bridge, usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import (
     REPLY_TIMEOUT_NS,
     BusDisconnectedError,
+    BusSetupError,
     Port,
     ServoBus,
     ServoReading,
@@ -140,6 +141,8 @@ def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callab
     """Return the robot's servos on an open port."""
     model, names, lock = profile.servo_model, profile.servo_names, profile.servo.lock_eeprom
     if profile.servo.pulses is not None:
+        if settings.bridge:
+            raise BusSetupError(f"the hobby servos of {profile.name} have no bridge; turn the setting `bridge` off")
         return PwmServos(port, list(names), clock, profile.servo.pulses)
     if settings.bridge:
         return Bridge(port, list(names), clock, model=model, names=names, lock=lock)

@@ -707,6 +707,14 @@ def test_blind_walking_without_pose_and_map_is_slow_with_high_lift() -> None:
     assert "by touch" in rig.status().reason
 
 
+def test_no_blind_walking_with_servos_that_measure_nothing() -> None:
+    rig = by_touch()
+    rig.planner = Planner(load_profile("printed_ds3218"), Settings())
+    assert not rig.plans(20)
+    assert rig.status().state == "blocked"
+    assert "measure nothing" in rig.status().reason
+
+
 def test_no_blind_walking_without_operator_request() -> None:
     rig = by_touch()
     assert rig.command is not None

@@ -130,10 +130,26 @@ def test_torque_does_not_return_by_itself_after_a_restart_of_the_board(board: Bo
     rig.board.restart(rig.now_ns)
     rig.cycle(CENTRE, count=50)
     assert not any(rig.torque)
-    assert "restarted" in rig.servos.trouble
+    assert "restart" in rig.servos.trouble
     rig.servos.set_torque(True)
     rig.cycle(CENTRE, count=200)
     assert all(rig.torque)
+
+
+def test_only_servos_of_the_board_that_restarts_lose_their_torque() -> None:
+    rig = Rig("pca9685", torque=True)
+    rig.servos.setup()
+    rig.cycle(CENTRE, count=5)
+    rig.board._chips[0x41].power_on()  # type: ignore[union-attr]
+    rig.servos._next = 16  # the next channel is that of the second board
+    rig.cycle(CENTRE, count=30)
+    assert "the pulses of 2 servos are lost" in rig.servos.trouble
+    assert rig.servos.read(5, TABLE.torque_enable) == 1
+    assert rig.servos.read(17, TABLE.torque_enable) == 0
+    rig.servos.set_torque(True)
+    rig.cycle(CENTRE, count=60)
+    assert rig.servos.trouble == ""
+    assert rig.servos.read(17, TABLE.torque_enable) == 1
 
 
 @pytest.mark.parametrize("board", BOARDS)
