@@ -41,7 +41,15 @@ class _Servo:
 class Firmware:
     """Firmware between a host link and a servo bus."""
 
-    def __init__(self, boot: int, servo: str, name: str, now_us: int = 0, baud_rate: int = 1_000_000):
+    def __init__(
+        self,
+        boot: int,
+        servo: str,
+        name: str,
+        now_us: int = 0,
+        baud_rate: int = 1_000_000,
+        cycle_us: int = CYCLE_US,
+    ):
         """Start without a session and without access to the bus.
 
         Args:
@@ -50,12 +58,14 @@ class Firmware:
             name: Name of board and firmware.
             now_us: Current time [us].
             baud_rate: [bit/s] of the servo bus.
+            cycle_us: [us] period of states and readings; longer for a slow board.
 
         Raises:
             ValueError: The table has no such servo.
         """
         self.mode = wire.WAITING
         self._boot, self._name = boot, name
+        self._cycle_us = cycle_us
         self._model = ServoModel(servo)
         self._now_us = now_us
         self._from_host = wire.Receiver()
@@ -77,7 +87,7 @@ class Firmware:
         self._bus = BusMaster(self._model.protocol, wire.MAX_TABLE, baud_rate, now_us)
         self._to_read: list[tuple] = []  # servo, kind of reading and remaining attempts of each
         # State messages.
-        self._tick_us = now_us + CYCLE_US
+        self._tick_us = now_us + self._cycle_us
         self._ticked_us = now_us
         self._round_us = 0  # [us] that one reading of all servos takes, with a margin
         self._round_due = False  # whether all servos are still to be read in this cycle
@@ -162,7 +172,7 @@ class Firmware:
             self._to_read = [(servo, _ADOPTED, ATTEMPTS) for servo in self._servos]
             self._round_due = False
             reading_us = self._bus.reading_us(self._model.state_size)
-            self._round_us = min(len(ids) * reading_us * 5 // 4, CYCLE_US)
+            self._round_us = min(len(ids) * reading_us * 5 // 4, self._cycle_us)
             self.mode = wire.ADOPTING
         self._host_clock.age_us(stamp_us, self._now_us)
         self._welcome()
@@ -271,7 +281,7 @@ class Firmware:
         A cycle takes twice its period at most.
         """
         tick_us = self._now_us + AFTER_GOALS_US
-        if tick_us - self._ticked_us <= 2 * CYCLE_US:
+        if tick_us - self._ticked_us <= 2 * self._cycle_us:
             self._tick_us = tick_us
 
     def _tick(self) -> None:
@@ -284,7 +294,7 @@ class Firmware:
             self._welcome()
         else:
             late = self._now_us - self._tick_us
-            self._tick_us = self._now_us + CYCLE_US - late % CYCLE_US
+            self._tick_us = self._now_us + self._cycle_us - late % self._cycle_us
             self._round_due = True
             self._to_host += self._state()
         self._ticked_us = self._now_us
@@ -360,7 +370,7 @@ class Firmware:
                 furthest = max(furthest, abs(angle - servo.goal))
         if furthest <= NEAR or self._torque_on_due:  # before torque on, servos are near their goals
             self.mode = wire.ON
-        elapsed_us = min(self._now_us - self._written_us, 2 * CYCLE_US)
+        elapsed_us = min(self._now_us - self._written_us, 2 * self._cycle_us)
         reach = max(CATCH_UP_SPEED * elapsed_us // 1_000_000, 1)
         rows = []
         for servo, angle, speed in zip(self._servos, angles, speeds):

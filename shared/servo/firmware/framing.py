@@ -41,9 +41,13 @@ def stuffed(data: bytes) -> bytes:
     A code byte precedes each run of other bytes.
     """
     out = bytearray()
-    block = b""
+    run = block = b""
     for run in data.split(_ZERO):
         block = run
+        if len(run) < _BLOCK:  # the usual case
+            out.append(len(run) + 1)
+            out += run
+            continue
         while len(block) >= _BLOCK:
             out.append(0xFF)
             out += block[:_BLOCK]

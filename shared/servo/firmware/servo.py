@@ -3,6 +3,8 @@
 All numbers are integers, because boards have floats of single precision or none.
 """
 
+import struct
+
 from .models import LAYOUTS, MODELS
 from .packets import Protocol1, Protocol2
 from .wire import SIGNED_MAX
@@ -10,7 +12,9 @@ from .wire import SIGNED_MAX
 SCALE_BITS = 14  # a unit is a whole number of 2^-14 wire units: products then fit the 31 bits of MicroPython's small integers
 _ONE = 1 << SCALE_BITS
 _HALF = _ONE >> 1
-COMPLEMENT = -1  # coding of negative numbers; otherwise 0 for none, or the bit of the sign
+_COMPLEMENT = -1  # coding of negative numbers; otherwise 0 for none, or the bit of the sign
+_IMPOSSIBLE = 0x3FFF_FFFF  # [ticks]
+_CODES = {1: "B", 2: "H", 4: "I"}
 
 
 def to_wire(value: int, unit: int) -> int:
@@ -44,13 +48,14 @@ class ServoModel:
         self.torque_enable = torque
         self.limit_address, self.limit_size, self._limit_max, self._limit_unit = limit
         self.goals_address, self.goals_size, self._goal, self._speed, self._max_speed = goals
-        self.state_address, self.state_size, self._state = state
-        self.adopted_address, self.adopted_size, self._adopted = adopted
+        self.state_address, self.state_size, measured = state
+        self.adopted_address, self.adopted_size, kept = adopted
+        self._state, self._adopted = _Block(measured), _Block(kept)
         self._centre, self._max_position, self._angle_unit, self._speed_unit, self._load_unit, self._volt_unit = units
 
     def errors(self, code: int) -> int:
         """Return the errors that an answer reports."""
-        return _meaning(code, self._errors)
+        return _meaning(code, self._errors) if code else 0
 
     def hardware_errors(self, value: int) -> int:
         """Return the errors in the hardware error register."""
@@ -62,24 +67,20 @@ class ServoModel:
 
     def state(self, data: bytes) -> tuple | None:
         """Return position, speed, load, voltage and temperature in wire units; None if no servo has such values."""
-        ticks = [_number(data, *field) for field in self._state]
-        position, speed, load, voltage, temperature = ticks
+        position, speed, load, voltage, temperature = self._state.unpack(data)
         if not 0 <= position <= self._max_position:
             return None
-        found = (
-            self.angle(position),
-            to_wire(speed, self._speed_unit),
-            to_wire(load, self._load_unit),
-            to_wire(voltage, self._volt_unit),
-            temperature,
-        )
-        if max(map(abs, found[:3])) > SIGNED_MAX or max(found[3:]) > 0xFF:
+        position = self.angle(position)
+        speed = to_wire(speed, self._speed_unit)
+        load = to_wire(load, self._load_unit)
+        voltage = to_wire(voltage, self._volt_unit)
+        if max(abs(position), abs(speed), abs(load)) > SIGNED_MAX or voltage > 0xFF:
             return None
-        return found
+        return position, speed, load, voltage, temperature
 
     def adopted(self, data: bytes) -> tuple:
         """Return torque enable, and the angles of goal and position [0.1 mrad]; None for a position that no servo has."""
-        torque, goal, position = (_number(data, *field) for field in self._adopted)
+        torque, goal, position = self._adopted.unpack(data)
         if not 0 <= position <= self._max_position:
             return bool(torque), None, None
         return bool(torque), self.angle(min(max(goal, 0), self._max_position)), self.angle(position)
@@ -108,14 +109,30 @@ def _meaning(code: int, errors: tuple) -> int:
     return found
 
 
-def _number(data: bytes, at: int, size: int, sign: int) -> int:
-    """Return a register in a block, by its offset, size and coding of negative numbers.
+class _Block:
+    """Registers of one answer, by their offsets, sizes and codings of negative numbers.
 
-    A number with bits beyond its sign is returned as it is, larger than any that a servo has.
+    A number with bits beyond its sign is unpacked as one that is larger than any that a servo has.
     """
-    value = int.from_bytes(data[at : at + size], "little")
-    if sign == COMPLEMENT:
-        return value - (1 << 8 * size) if value >> (8 * size - 1) else value
-    if sign and value >= 2 * sign:
-        return 0x3FFF_FFFF
-    return sign - value if sign and value >= sign else value
+
+    def __init__(self, fields: tuple):
+        by_offset = sorted(range(len(fields)), key=lambda k: fields[k][0])
+        form, end = "<", 0
+        for k in by_offset:
+            at, size, sign = fields[k]
+            code = _CODES[size]
+            form += "x" * (at - end) + (code.lower() if sign == _COMPLEMENT else code)
+            end = at + size
+        self._form = form
+        self._order = [by_offset.index(k) for k in range(len(fields))]
+        self._signs = [(k, field[2]) for k, field in enumerate(fields) if field[2] > 0]
+
+    def unpack(self, data: bytes) -> list[int]:
+        """Return the numbers, in the order of the fields."""
+        raw = struct.unpack(self._form, data)
+        numbers = [raw[k] for k in self._order]
+        for k, sign in self._signs:
+            value = numbers[k]
+            if value >= sign:
+                numbers[k] = sign - value if value < 2 * sign else _IMPOSSIBLE
+        return numbers

@@ -1,0 +1,20 @@
+"""Settings of the board, for a Raspberry Pi Pico. Change them for yours; docs/firmware.md has those of other boards."""
+
+NAME = "Pico"  # at most 32 characters
+SERVO = "AX-12A"  # model of all servos, a name in models.py
+BAUD_RATE = 1_000_000  # [bit/s] of the servos
+CYCLE_MS = 10  # [ms] period of states and readings; docs/firmware.md estimates what boards reach
+
+BUS_UART = 1
+BUS_TX: object = 4  # pin, None for the fixed pins of the UART
+BUS_RX: object = 5
+DIRECTION: object = 6  # pin that switches the transceiver, None without one
+DIRECTION_SENDS = 1  # level of this pin while the board sends
+ECHO = False  # whether the circuit returns to the board what it sends
+
+HOST_UART: object = None  # None for USB
+HOST_BAUD_RATE = 1_000_000  # [bit/s]
+HOST_TX: object = None
+HOST_RX: object = None
+
+UART_OPTIONS = {"rxbuf": 512, "txbuf": 512}  # [bytes] further options of machine.UART on this board

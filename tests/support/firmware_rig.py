@@ -1,0 +1,194 @@
+"""A board whose firmware runs behind stand-ins of its ports, with a driver, servos, faults, and a record of all turns."""
+
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.firmware import board, config
+from sextant.shared.servo.servo_model import ServoModel
+
+STAND_INS = Path(__file__).parent / "micropython"
+TICKS = 1 << 30  # period of `time.ticks_us` on boards
+PERIOD_NS = 20_000_000
+START_US = TICKS - 2_000_000  # the counter wraps two seconds after the start
+
+
+def stand_in(name: str, folder: Path = STAND_INS) -> ModuleType:
+    """Import a module of MicroPython's stand-ins."""
+    spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def imported(**modules: ModuleType) -> Iterator[None]:
+    """Let modules be imported by these names."""
+    before = {name: sys.modules.get(name) for name in modules}
+    sys.modules.update(modules)
+    try:
+        yield
+    finally:
+        for name, module in before.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+
+
+def ticks_diff(new: int, old: int) -> int:
+    """Return the difference of two values of the counter, as MicroPython has it."""
+    return (new - old + TICKS // 2) % TICKS - TICKS // 2
+
+
+class BoardFirmware:
+    """The firmware behind `UartPort`s, with the interface of `Firmware`."""
+
+    def __init__(self, boot: int, now_us: int, servo: str, echo: bool, record: list[str]) -> None:
+        machine, self._record, self._echo = stand_in("machine"), record, echo
+        self._now_us = now_us
+        self._clock = board.Clock(self._ticks, ticks_diff)
+        values = {**vars(config), "SERVO": servo, "ECHO": echo, "DIRECTION": None if echo else 6}
+        settings = SimpleNamespace(**{**values, "HOST_UART": 0, "HOST_TX": 0, "HOST_RX": 1})
+        self._bus, self._host = board.open_bus(machine, settings), board.open_host(machine, settings, None)
+        self._servos, self._computer = self._bus._uart, self._host._uart  # type: ignore[attr-defined]
+        self._servos.pin = self._bus._direction
+        self._began_us = now_us
+        self.firmware = board.start(settings, boot, self._clock.now_us())
+        record.append(f"B,{boot},{self._ticks()},{servo},{int(echo)}")
+
+    def _ticks(self) -> int:
+        return (START_US + self._now_us) % TICKS
+
+    @property
+    def mode(self) -> int:
+        return self.firmware.mode
+
+    @property
+    def due_us(self) -> int:
+        return self._began_us + self.firmware.due_us
+
+    def step(self, now_us: int, from_host: bytes = b"", from_bus: bytes = b"") -> tuple[bytes, bytes]:
+        self._now_us = now_us
+        self._computer.received += from_host
+        self._servos.received += from_bus
+        board.turn(self.firmware, self._clock, self._host, self._bus)
+        to_host, to_bus = self._computer.take(), self._servos.take()
+        if self._echo:
+            self._servos.received += to_bus
+        sent = (from_host, from_bus, to_host, to_bus)
+        self._record.append(",".join(["T", str(self._ticks()), *(data.hex() for data in sent)]))
+        return to_host, to_bus
+
+
+class RecordedBoard(Board):
+    """Simulated board that runs the firmware behind its ports, and records all turns."""
+
+    def __init__(self, bus: BusFaults, model: ServoModel, echo: bool) -> None:
+        self.record: list[str] = []
+        self._echoes = echo
+        super().__init__(bus, model=model)
+
+    def _boot(self, now_ns: int) -> Any:
+        return BoardFirmware(self.boots, now_ns // 1000, self._model.name, self._echoes, self.record)
+
+
+class FirmwareRig:
+    """Servos, the board in front of them, and the actuator's driver."""
+
+    def __init__(self, model: ServoModel, count: int = 6, echo: bool = False) -> None:
+        ids = list(range(1, count + 1))
+        self.now_ns, self.model, self.count = 0, model, count
+        self.bank = ServoBank(ids, model)
+        settings = {model.table.baud_rate: model.rate_code(1_000_000), **model.joint_settings}
+        for row in range(count):
+            for register, value in settings.items():
+                self.bank.write(row, register.address, register.encode(value))
+        self.faults = BusFaults(ServoBusEmulator(self.bank, BusTiming(usb_transaction_ns=0)), self.bank)
+        self.board = RecordedBoard(self.faults, model, echo)
+        self.port = MemoryPort(self.board, lambda: self.now_ns, READ_NS * 1e-9)
+        self._read, self._write = self.port.read, self.port.write
+        self.driver = Bridge(self.port, ids, self.port.now_ns, model=model)
+
+    def tamper(self, change: Callable[[bytes], bytes] | None) -> None:
+        """Change all bytes between host and board, or end that."""
+        if change is None:
+            self.port.read, self.port.write = self._read, self._write  # type: ignore[method-assign]
+        else:
+            self.port.read = lambda size=1, /: change(self._read(size))  # type: ignore[method-assign]
+            self.port.write = lambda data, /: self._write(change(data))  # type: ignore[method-assign]
+
+    def inject(self, target: str, kind: str, for_s: float, **more: Any) -> None:
+        """Break the servo bus for a time."""
+        self.faults.inject(BusFault(target, kind, 0.0, for_s, **more), self.now_ns)  # type: ignore[arg-type]
+
+    def registers(self, name: str) -> list[int]:
+        """Return a register of all servos, by its role in the control table."""
+        register = getattr(self.model.table, name)
+        return [int.from_bytes(self.bank.read(row, register.address, register.size), "little") for row in range(self.count)]
+
+    def cycle(self, count: int, goals: float | None = None) -> None:
+        """Run cycles of an actuator that sends goals [rad] for all servos; without goals it only reads."""
+        for _ in range(count):
+            self.now_ns = max(self.now_ns + PERIOD_NS, self.port.now_ns())
+            self.board.advance(self.now_ns)
+            on = np.array(self.registers("torque_enable"), dtype=bool)
+            aims = np.array([self.model.units.angle(ticks) for ticks in self.registers("goal_position")])
+            self.bank.step(np.where(on, aims, self.bank._q), np.zeros(self.count), np.zeros(self.count), PERIOD_NS * 1e-9)
+            self.driver.poll(6_500_000)
+            if goals is not None:
+                ticks = self.model.units.ticks(goals) + np.arange(self.count)
+                self.driver.sync_write_goals(np.minimum(ticks, self.model.units.max_position))
+
+
+def exchange(model: ServoModel, echo: bool = False, seed: int = 5) -> FirmwareRig:
+    """Return a rig after a session with every fault that the bridge has to survive; the robot keeps its torque until the end.
+
+    Bytes are lost and broken on both lines, the host is silent, the board restarts, and servos do not answer.
+    """
+    rig, rng = FirmwareRig(model, echo=echo), np.random.default_rng(seed)
+
+    def breaks(data: bytes) -> bytes:
+        out = bytearray(byte for byte in data if rng.random() > 0.005)
+        for at in np.flatnonzero(rng.random(len(out)) < 0.01):
+            out[at] ^= int(rng.integers(1, 256))
+        return bytes(out)
+
+    rig.driver.setup()
+    rig.cycle(4, 0.0)
+    rig.driver.set_torque(True)
+    rig.cycle(4, 0.0)
+    rig.cycle(10, 0.12)
+    rig.driver.write_torque_limit(700)
+    rig.inject("bytes", "garbage", 0.3, share=0.02)
+    rig.cycle(16, 0.2)
+    rig.inject("bytes", "silent", 0.2, share=0.02)
+    rig.cycle(12, 0.1)
+    rig.inject("servo", "silent", 0.2, servo=3)
+    rig.cycle(14, 0.15)
+    rig.tamper(breaks)
+    rig.cycle(30, 0.2)
+    rig.tamper(None)
+    rig.cycle(20)  # the host is silent: the board holds
+    rig.cycle(30, -0.4)  # it catches up
+    rig.board.restart(rig.port.now_ns())
+    rig.cycle(50, -0.4)
+    assert rig.registers("torque_enable") == [1] * rig.count
+    rig.driver.set_torque(False)
+    rig.cycle(4, -0.4)
+    return rig

@@ -1,0 +1,63 @@
+"""Replay recorded turns of the firmware, under MicroPython or CPython, and compare every byte.
+
+Each line of the record has a boot (B, boot number, counter, servo, echo) or a turn (T, counter, and in hex the bytes from the
+host, from the servos, to the host and to the servos).
+"""
+
+import sys
+
+import machine
+from firmware import board, config
+
+PERIOD = 1 << 30  # of `time.ticks_us` on boards
+
+
+def ticks_diff(new, old):  # type: ignore[no-untyped-def]
+    return (new - old + PERIOD // 2) % PERIOD - PERIOD // 2
+
+
+class Settings:
+    """Copy of config.py, for a UART to the host."""
+
+    def __init__(self, servo, echo):  # type: ignore[no-untyped-def]
+        for name in dir(config):
+            setattr(self, name, getattr(config, name))
+        self.SERVO, self.ECHO, self.DIRECTION = servo, echo, None if echo else 6
+        self.HOST_UART, self.HOST_TX, self.HOST_RX = 0, 0, 1
+
+
+def replay(path):  # type: ignore[no-untyped-def]
+    """Return the numbers of boots, turns and sent bytes; raise AssertionError at the first difference."""
+    counter = [0]
+    boots = turns = count = 0
+    with open(path) as lines:  # noqa: PTH123  (MicroPython has no pathlib)
+        rows = [line.strip().split(",") for line in lines]
+    for words in rows:
+        if words[0] == "B":
+            boots += 1
+            counter[0] = int(words[2])
+            clock = board.Clock(lambda: counter[0], ticks_diff)
+            settings = Settings(words[3], words[4] == "1")
+            bus, host = board.open_bus(machine, settings), board.open_host(machine, settings, None)
+            servos, computer = bus._uart, host._uart
+            servos.pin = bus._direction
+            firmware = board.start(settings, int(words[1]), clock.now_us())
+            continue
+        turns += 1
+        counter[0] = int(words[1])
+        from_host, from_bus, to_host, to_bus = [bytes.fromhex(word) for word in words[2:]]
+        computer.received += from_host
+        servos.received += from_bus
+        board.turn(firmware, clock, host, bus)
+        found = computer.take(), servos.take()
+        if settings.ECHO:
+            servos.received += found[1]
+        assert found == (to_host, to_bus), "turn %d: %s and %s expected, found %s and %s" % (  # noqa: UP031
+            turns, words[4], words[5], found[0].hex(), found[1].hex(),
+        )  # fmt: skip
+        count += len(to_host) + len(to_bus)
+    return boots, turns, count
+
+
+if __name__ == "__main__":
+    print(sys.implementation.name, *replay("record.csv"))
