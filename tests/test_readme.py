@@ -125,6 +125,7 @@ _PREFIX = re.compile(r"[A-Z_]+=.*|time")  # of a command: variables, and the she
 NOT_RUN = {
     "pip": "it needs a package index",
     "npm": "it needs a package index",
+    "mpremote": "it needs a board",
     "coverage": "it runs tests",
     "pytest": "it runs tests",
 }

@@ -70,7 +70,7 @@ class Simulator:
             scenario: Scenario that replaces the one of the settings.
 
         Raises:
-            ConfigError: The scenario has a fault of a servo that the robot does not have.
+            ConfigError: The scenario has a fault of a servo that the robot does not have, or a bridge has no firmware for them.
         """
         clock = in_use()
         self._time = clock if isinstance(clock, SimulatedTime) else None  # shared time, which this service advances
@@ -113,7 +113,10 @@ class Simulator:
         self.bus = self._wired(scenario)
         self.device: Board | BusFaults = self.bus  # device at the actuator's port
         if settings.bridge:
-            self.device = Board(self.bus, model=self._bank.model)
+            try:
+                self.device = Board(self.bus, model=self._bank.model)
+            except ValueError as error:
+                raise ConfigError("the bridge's firmware", [str(error)]) from None
         self._adapter_port = self.bus.adapter_port(0)
         self._fault_refused = ""
         self._server: TcpBusServer | None = None

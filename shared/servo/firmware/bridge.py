@@ -10,7 +10,7 @@ from .packets import BROADCAST_ID
 from .servo import ServoModel
 
 CYCLE_US = 10_000  # [us] period in which each servo is read once and a state is sent
-AFTER_GOALS_US = 2_000  # [us] after goals at which a cycle begins
+AFTER_GOALS_US = 12_000  # [us] after goals at which a state is sent, so that it arrives before the next goals are computed
 GREETING_US = 100_000  # [us] period of Welcome messages before a session
 ATTEMPTS = 3  # attempts to read a servo in mode ADOPTING
 NEAR = 314  # [0.1 mrad] 1.8 deg: distance between received and last written goals at which catching up ends
@@ -90,6 +90,7 @@ class Firmware:
         self._tick_us = now_us + self._cycle_us
         self._ticked_us = now_us
         self._round_us = 0  # [us] that one reading of all servos takes, with a margin
+        self._round_began_us = 0
         self._round_due = False  # whether all servos are still to be read in this cycle
         self._state_sequence = 0
         self._refusal, self._refused = wire.NONE, 0
@@ -121,7 +122,7 @@ class Firmware:
         if now_us >= self._tick_us:
             self._tick()
         if self._round_due and not self._to_read and now_us >= self._tick_us - self._round_us:
-            self._round_due = False
+            self._round_due, self._round_began_us = False, now_us
             self._to_read = [(servo, _STATE, 1) for servo in self._servos]
         # 4. Start the next packet to the servos.
         to_bus = b"" if self._bus.waits or now_us < self._bus.due_us else self._next_packet()
@@ -276,11 +277,11 @@ class Firmware:
             self.mode = wire.CATCHING_UP
 
     def _align(self) -> None:
-        """Let a cycle begin right after goals, so that the readings at its end are not affected by the change of goals.
+        """Let a cycle end at a fixed time after goals, so that the readings before its end are not those of changing goals.
 
         A cycle takes twice its period at most.
         """
-        tick_us = self._now_us + AFTER_GOALS_US
+        tick_us = self._now_us + AFTER_GOALS_US % self._cycle_us
         if tick_us - self._ticked_us <= 2 * self._cycle_us:
             self._tick_us = tick_us
 
@@ -410,8 +411,12 @@ class Firmware:
             servo.hardware_error |= self._model.hardware_errors(packet[2][0])
         else:
             self._note_state(servo, began_us, packet[1], self._model.state(packet[2]))
-        if self.mode == wire.ADOPTING and not self._to_read:
+        if self._to_read:
+            return
+        if self.mode == wire.ADOPTING:
             self._take_over()
+        else:
+            self._round_us = min((self._now_us - self._round_began_us) * 9 // 8, self._cycle_us)
 
     def _note_state(self, servo: _Servo, began_us: int, code: int, state: tuple | None) -> None:
         if state is None:

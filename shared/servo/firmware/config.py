@@ -1,14 +1,14 @@
-"""Settings of the board, for a Raspberry Pi Pico. Change them for yours; docs/firmware.md has those of other boards."""
+"""Settings of the board, for a Teensy 4.1. Change them for yours; docs/firmware.md has those of other boards."""
 
-NAME = "Pico"  # at most 32 characters
+NAME = "Teensy 4.1"  # at most 32 characters
 SERVO = "AX-12A"  # model of all servos, a name in models.py
 BAUD_RATE = 1_000_000  # [bit/s] of the servos
-CYCLE_MS = 10  # [ms] period of states and readings; docs/firmware.md estimates what boards reach
+CYCLE_MS = 20  # [ms] period of states and readings; docs/firmware.md estimates what boards reach
 
-BUS_UART = 1
-BUS_TX: object = 4  # pin, None for the fixed pins of the UART
-BUS_RX: object = 5
-DIRECTION: object = 6  # pin that switches the transceiver, None without one
+BUS_UART = 2
+BUS_TX: object = None  # pin, None for the fixed pins of the UART: 8 and 7
+BUS_RX: object = None
+DIRECTION: object = "D6"  # pin that switches the transceiver, None without one
 DIRECTION_SENDS = 1  # level of this pin while the board sends
 ECHO = False  # whether the circuit returns to the board what it sends
 

@@ -17,7 +17,7 @@ def ticks_diff(new, old):  # type: ignore[no-untyped-def]
 
 
 class Settings:
-    """Copy of config.py, for a UART to the host."""
+    """Settings of config.py, with a UART to the host."""
 
     def __init__(self, servo, echo):  # type: ignore[no-untyped-def]
         for name in dir(config):

@@ -10,14 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sextant.services.simulator.config import Settings
+from sextant.services.simulator.service import Simulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
+from sextant.shared.files.config import ConfigError
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import Message, Mode, Receiver, Refusal, Result
 from sextant.shared.servo.dynamixel import Instruction, PacketParser
+from sextant.shared.servo.firmware import servo as firmware_servo
 from sextant.shared.servo.firmware.bridge import CYCLE_US, GREETING_US, Firmware
 from sextant.shared.servo.servo_model import Packet, Register
 
@@ -282,3 +288,10 @@ def test_random_bytes_raise_no_error_and_cause_no_write(
         sent += to_bus
         assert len(to_host) <= 2 * 404
     assert {packet.code for packet in recorder.feed(sent)} <= {Instruction.READ}
+
+
+def test_simulator_with_servos_that_the_firmware_lacks_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(firmware_servo, "MODELS", {"STS3215": 5})
+    words = r"the bridge's firmware: one of the servos \['STS3215'\] expected, found AX-12A"
+    with pytest.raises(ConfigError, match=words):
+        Simulator(load_profile("phantomx_mk2"), Settings(bridge=True), load_scenario("flat"))
