@@ -6,34 +6,35 @@ from random import Random
 
 from benchmarks.fuzz.mutators import broken
 from benchmarks.fuzz.target import Target
-from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel2, lx16a
-from sextant.shared.servo.models import MX_28, STS3215, XL430_W250
+from sextant.shared.servo.models import LX_16A, MX_28, STS3215, XL430_W250
 from sextant.shared.servo.servo_model import BusProtocol, ServoModel
 
 _IDS = (1, 2)
 _CYCLE_NS = 20_000_000
 _BUDGET_NS = 5_000_000
-_MODELS = (MX_28, XL430_W250, STS3215)  # with other control tables than the AX-12A
+_MODELS = (MX_28, XL430_W250, STS3215, LX_16A)  # with other control tables than the AX-12A
 
 
 def servo_targets() -> tuple[Target, ...]:
-    """Return the targets: the buses of other servos than the AX-12A, a combined status, and the LX-16A."""
+    """Return the targets: the buses of other servos than the AX-12A, and a combined status."""
     return (
         *(
             Target(f"servo bus, {model.name}", _packets(model), partial(_with_checksum, model.protocol), _taker(model))
             for model in _MODELS
         ),
         Target("servo bus, combined answers", (_combined(),), partial(_with_checksum, dynamixel2), _take_combined),
-        Target("servo bus, LX-16A", _lx16a_packets(), partial(_with_checksum, lx16a), _take_lx16a),
     )
 
 
 def _packets(model: ServoModel) -> tuple[bytes, ...]:
     """Return instructions of the host, and answers of servos."""
     protocol, table = model.protocol, model.table
+    if model.commands is not None:
+        return _lx16a_packets()
     state, goals = table.state, table.goals
     row = bytes(goals.size)
     return (
@@ -88,8 +89,8 @@ def _taker(model: ServoModel) -> Callable[[bytes], bool]:
     """Return a function that gives bytes to both parsers, to emulated servos, and to the driver as answers."""
     protocol, table = model.protocol, model.table
     bank, port = ServoBank(_IDS, model), _Port()
-    bank.column(table.baud_rate)[:] = model.rate_code(1_000_000)
-    driver, start = ServoBus(port, _IDS, lambda: port.now_ns, model=model), bank.tables.copy()
+    bank.column(table.baud_rate)[:] = model.rate_code(model.bus_rate)
+    driver, start = bus_of(model)(port, _IDS, lambda: port.now_ns, model=model), bank.tables.copy()
 
     def take(data: bytes) -> bool:
         bank.tables[:] = start
@@ -143,20 +144,10 @@ def _take_combined(data: bytes) -> bool:
 def _lx16a_packets() -> tuple[bytes, ...]:
     return (
         lx16a.write(1, lx16a.Command.MOVE_TIME_WRITE, 500, 20),
+        lx16a.write(254, lx16a.Command.LOAD_OR_UNLOAD_WRITE, 1),
+        lx16a.write(2, lx16a.Command.MOVE_TIME_WAIT_WRITE, 400, 100) + lx16a.write(254, lx16a.Command.MOVE_START),
+        lx16a.write(1, lx16a.Command.ANGLE_LIMIT_WRITE, 100, 900),
         lx16a.read(2, lx16a.Command.POS_READ),
         lx16a.response(2, lx16a.Command.POS_READ, -3),
         lx16a.response(1, lx16a.Command.VIN_READ, 7400) + lx16a.response(1, lx16a.Command.TEMP_READ, 31),
     )
-
-
-def _take_lx16a(data: bytes) -> bool:
-    found = []
-    for instructions in (False, True):
-        parser = lx16a.PacketParser(instructions=instructions)
-        found += [packet for half in _halves(data) for packet in parser.feed(half)]
-        if parser.pending > lx16a.OVERHEAD + lx16a.MAX_LENGTH:
-            raise AssertionError(f"{parser.pending} bytes are held back")
-        found += parser.flush()
-    for packet in found:
-        lx16a.values_of(packet)
-    return bool(found)

@@ -13,7 +13,8 @@ from random import Random
 
 import numpy as np
 
-from sextant.services.actuator.servo_bus.bus_driver import ServoBus, ServoReading
+from sextant.services.actuator.servo_bus.bus_driver import ServoReading
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
@@ -184,10 +185,10 @@ def _run(model: ServoModel, name: str, answers: int, rng: Random) -> Found:
     way, found, now_ns = WAYS[name], Found(model.name, name), 0
     motor, supply = MOTOR_AND_SUPPLY[model.name]
     bank = ServoBank(range(1, _N + 1), model, motor, supply=supply)
-    bank.column(model.table.baud_rate)[:] = model.rate_code(1_000_000)
+    bank.column(model.table.baud_rate)[:] = model.rate_code(model.bus_rate)
     bus = _SpoiltBus(bank, way, rng, found)
     port = MemoryPort(bus, lambda: now_ns)
-    driver = ServoBus(port, range(1, _N + 1), port.now_ns, model=model)
+    driver = bus_of(model)(port, range(1, _N + 1), port.now_ns, model=model)
     driver.setup()
     driver.set_torque(True)
     bus.spoils, q, rest = True, np.zeros(_N), np.zeros(_N)

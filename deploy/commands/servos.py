@@ -369,10 +369,9 @@ def _line(bus: Bus, profile: "RobotProfile", all_rates: bool = False) -> "Iterat
     """Open the servo port; close it at the end, also after a signal."""
     from sextant.services.actuator.commissioning.set_ids import Line
     from sextant.services.actuator.servo_bus import triage
-    from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE
 
     of_model = triage.all_rates if all_rates else triage.usual_rates
-    rates = (BAUD_RATE,) if bus.networked else of_model(profile.servo_model)
+    rates = (profile.servo_model.bus_rate,) if bus.networked else of_model(profile.servo_model)
     with _ended_once(), closing(Line(lambda rate: _open(bus, profile, rate), rates)) as line:
         yield line
 
@@ -392,15 +391,17 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "Se
     Raises:
         BusDisconnectedError: The port cannot be opened.
     """
-    from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus, open_port
+    from sextant.services.actuator.servo_bus.bus_driver import open_port
+    from sextant.services.actuator.servo_bus.command_bus import bus_of
 
-    names = profile.servo_names
-    patience = _NETWORK_PATIENCE_NS if bus.networked else patience_ns(rate or BAUD_RATE)
-    return ServoBus(
-        open_port(bus.port, rate or BAUD_RATE, patience),
-        [i for i in names if i <= (model or profile.servo_model).protocol.MAX_ID],
+    names, model = profile.servo_names, model or profile.servo_model
+    rate = rate or model.bus_rate
+    patience = _NETWORK_PATIENCE_NS if bus.networked else patience_ns(rate)
+    return bus_of(model)(
+        open_port(bus.port, rate, patience),
+        [i for i in names if i <= model.protocol.MAX_ID],
         time.monotonic_ns,
-        model=model or profile.servo_model,
+        model=model,
         names=names,
         echo=bus.echo,
         reply_timeout_ns=patience,
@@ -448,4 +449,4 @@ def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
     if seen.response is not BusResponse.CLEAR:
         return row | {"problem": seen.response.value}
     measured = {"voltage": round(seen.voltage, 1), "temperature": seen.temperature}
-    return row | {"model": seen.model, "firmware": seen[profile.servo_model.table.firmware], **measured}
+    return row | {"model": seen.model, "firmware": seen.firmware, **measured}

@@ -88,7 +88,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
         return
     name, names, model = f"servo port {port}", profile.servo_names, profile.servo_model
     try:
-        opened = open_port(port, timeout_ns=_PATIENCE_NS)
+        opened = open_port(port, model.bus_rate, _PATIENCE_NS)
     except BusDisconnectedError as error:
         yield Check(name, Level.FAIL, str(error), "give another port with --port")
         return
@@ -142,11 +142,11 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
 
     The port is closed at the end.
     """
-    from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.services.actuator.servo_bus.bus_scan import BusResponse, call
+    from sextant.services.actuator.servo_bus.command_bus import bus_of
 
     names = profile.servo_names
-    connect = partial(ServoBus, port, list(names), time.monotonic_ns, model=profile.servo_model, names=names)
+    connect = partial(bus_of(profile.servo_model), port, list(names), time.monotonic_ns, model=profile.servo_model, names=names)
     bus = connect(reply_timeout_ns=_PATIENCE_NS)
     try:
         seen = call(bus, names)

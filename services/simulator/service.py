@@ -146,7 +146,7 @@ class Simulator:
         configured = {
             **profile.servo.controller_settings,
             **(model.joint_settings if model.eeprom_needs_torque_off else {}),  # else the actuator writes them
-            table.baud_rate: model.rate_code(BusTiming().baud_rate),
+            table.baud_rate: model.rate_code(model.bus_rate),
         }
         for row, angle in enumerate(servo):
             holding = {table.goal_position: model.units.ticks(angle), table.torque_enable: 1}

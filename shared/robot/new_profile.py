@@ -1,5 +1,6 @@
 """Robot profile from a few measures: a symmetric hexapod whose other values are proposed."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,6 +52,7 @@ def new_profile(name: str, measures: Measures) -> RobotProfile:
 
     Servo ids are 1 to 18 in the order of the legs.
     """
+    horn = _tibia_horn_deg(measures.servo)
     links = LegLinks(measures.coxa, measures.femur, measures.tibia)
     coxa, femur, tibia = (round(share * measures.mass, 4) for share in _SHARES_OF_LEG)
     trunk = round(measures.mass - 6.0 * (coxa + femur + tibia), 4)
@@ -59,20 +61,26 @@ def new_profile(name: str, measures: Measures) -> RobotProfile:
     profile = RobotProfile(
         name=name,
         servo=proposed_servo(measures.servo),
-        horn_offsets_deg=(0.0, 0.0, 0.0),
+        horn_offsets_deg=(0.0, 0.0, horn),
         links=links,
         body=Body((length, width, height), trunk, (coxa, femur, tibia)),
         foot=Foot(round(_FOOT_SHARE * measures.tibia, 4)),
         stance=PLACEHOLDER_STANCE,
-        legs=tuple(_leg(k, measures) for k in range(len(LEGS))),  # type: ignore[arg-type]
+        legs=tuple(_leg(k, measures, horn) for k in range(len(LEGS))),  # type: ignore[arg-type]
         camera=proposed_camera(size),
         battery=proposed_battery(measures.servo),
     )
     return replace(profile, stance=proposed_stance(profile))
 
 
-def _leg(k: int, measures: Measures) -> Leg:
-    """Return a leg, with servo limits that keep its neighbours apart."""
+def _tibia_horn_deg(servo: str) -> float:
+    """Return the horn offset [deg] of the tibia: a servo with a short range is mounted in the middle of the tibia's."""
+    middle = sum(_TIBIA_DEG) / 2.0
+    return 0.0 if math.degrees(MODEL_NAMED[servo].units.range_rad) >= max(map(abs, _TIBIA_DEG)) else -middle
+
+
+def _leg(k: int, measures: Measures, horn: float) -> Leg:
+    """Return a leg, with servo limits that keep its neighbours apart; `horn` [deg] is the offset of its tibia's horn."""
     side, place = LEGS[k].split()
     left = 1.0 if side == "left" else -1.0
     x = {"front": measures.front, "middle": 0.0, "rear": -measures.front}[place]
@@ -90,5 +98,5 @@ def _leg(k: int, measures: Measures) -> Leg:
         neutral_yaw_deg=left * _YAW_DEG[place],
         servo_ids=(3 * k + 1, 3 * k + 2, 3 * k + 3),
         servo_signs=(1, 1, 1),
-        servo_limits_deg=(coxa, _FEMUR_DEG, _TIBIA_DEG),
+        servo_limits_deg=(coxa, _FEMUR_DEG, (_TIBIA_DEG[0] + horn, _TIBIA_DEG[1] + horn)),
     )

@@ -128,10 +128,16 @@ def _wrong_controller(
         yield config.Misfit("model", f"no compliance slope and no position gain for {model} servos", "one")
     if found is None or pulses is not None:
         return
-    has_slope = bool(found.table.compliance)
+    table = found.table
+    has_slope = bool(table.compliance)
     needed, other = ("compliance_slope", "position_gain") if has_slope else ("position_gain", "compliance_slope")
     values = {"compliance_slope": compliance_slope, "position_gain": position_gain}
     needed_words, other_words = (name.replace("_", " ") for name in (needed, other))
+    if not has_slope and table.position_gain is None:
+        for name, value in values.items():
+            if value:
+                yield config.Misfit(name, f"no {name.replace('_', ' ')} for {model} servos, which have none,", str(value))
+        return
     if not values[needed]:
         yield config.Misfit(needed, f"a {needed_words} of at least 1 for {model} servos", "0")
     if values[other]:

@@ -7,8 +7,8 @@ from types import MappingProxyType
 from sextant.shared.robot.profile import Battery, Servo
 from sextant.shared.servo.models import MODEL_NAMED
 
-# [N m] stall torque of each model at its usual voltage: 14.8 V for the RX-64, 11.1 V for the XL430, 7.4 V for the XL-320, and
-# 12 V for the others.
+# [N m] stall torque of each model at its usual voltage: 14.8 V for the RX-64, 11.1 V for XL430 and HX-35H, 7.4 V for XL-320 and
+# LX-16A, and 12 V for the others.
 STALL_TORQUES = MappingProxyType(
     {
         "AX-12A": 1.5,
@@ -24,9 +24,13 @@ STALL_TORQUES = MappingProxyType(
         "XC430-W240": 1.9,
         "XM430-W350": 4.1,
         "STS3215": 2.94,
+        "LX-16A": 1.67,
+        "HX-35H": 3.43,
     }
 )
-_BATTERIES = MappingProxyType({"XL-320": Battery(7.0, 6.6)})  # two lithium polymer cells instead of three
+_BATTERIES = MappingProxyType(
+    dict.fromkeys(("XL-320", "LX-16A"), Battery(7.0, 6.6))
+)  # two lithium polymer cells instead of three
 _RX_64_SPEED = 5.36  # [rad/s] at 14.8 V; its model has the speed at 18.5 V
 _COMPLIANCE_SLOPE = 32  # the factory's
 _ARMATURE_PER_NM, _FRICTION_PER_NM = 0.002, 0.02  # [kg m^2] and [N m] per N m of stall torque, assumed: those of the AX-12A
@@ -54,11 +58,13 @@ def proposed_servo(name: str, stall_torque: float | None = None) -> Servo:
         stiffness=1.0,
         armature=round(_ARMATURE_PER_NM * torque, _DIGITS),
         friction=round(_FRICTION_PER_NM * torque, _DIGITS),
-        compliance_slope=_COMPLIANCE_SLOPE if gain is None else 0,
+        compliance_slope=_COMPLIANCE_SLOPE if model.table.compliance else 0,
         position_gain=0 if gain is None else model.default(gain),
         temperature_limit=float(model.default(model.table.temperature_limit)),
     )
-    return replace(servo, stiffness=round(servo.nominal_stiffness, _DIGITS))
+    has_setting = gain is not None or model.table.compliance
+    stiffness = servo.nominal_stiffness if has_setting else torque * model.gain_stiffness
+    return replace(servo, stiffness=round(stiffness, _DIGITS))
 
 
 def proposed_battery(name: str) -> Battery:

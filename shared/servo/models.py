@@ -7,8 +7,16 @@ import math
 from dataclasses import replace
 from types import MappingProxyType
 
-from sextant.shared.servo import dynamixel, dynamixel2, feetech, x_series, xl320
-from sextant.shared.servo.servo_model import ALL_OF_PROTOCOL_1, Recovery, ServoError, ServoModel, setting
+from sextant.shared.servo import dynamixel, dynamixel2, feetech, lewansoul, x_series, xl320
+from sextant.shared.servo.servo_model import (
+    ALL_OF_PROTOCOL_1,
+    Commands,
+    Feedback,
+    Recovery,
+    ServoError,
+    ServoModel,
+    setting,
+)
 
 _NONE: MappingProxyType[str, int] = MappingProxyType({})
 _ANSWER_ALL = 2  # status return level
@@ -135,5 +143,34 @@ XL_320 = ServoModel(
     gain_stiffness=1.0 / (8.0 * 1023.0 * MX_UNITS.tick_rad),  # assumed: that of an MX; the manual states no unit of its gain
     error_bits=MappingProxyType(xl320.ERROR_BITS),
 )
-MODELS = (AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350, XL_320, STS3215)
+
+
+def _lewansoul(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoModel:
+    """Return a model with the commands of the LX-16A; the number is ours, because the servo tells none."""
+    return ServoModel(
+        name,
+        number,
+        lewansoul,
+        lewansoul.TABLE,
+        lewansoul.UNITS,
+        MappingProxyType(lewansoul.RATES),
+        MappingProxyType(lewansoul.SETTINGS),
+        no_load_rpm,
+        MappingProxyType({register.replace("_", " "): value for register, value in overrides.items()}),
+        recovery=Recovery.ITSELF,
+        errors=ServoError.NONE,
+        gain_stiffness=1.0 / math.radians(10.0),  # full torque at an error of 10 deg: assumed
+        masks=MappingProxyType(lewansoul.MASKS),
+        feedback=Feedback.POSITION | Feedback.VOLTAGE | Feedback.TEMPERATURE,
+        commands=Commands(lewansoul.command_at, lewansoul.answer_code, lewansoul.commands_in, lewansoul.LACKS),
+        bus_rate=lewansoul.BAUD_RATE,
+    )
+
+
+LX_16A = _lewansoul("LX-16A", 16, 62.5)  # 0.16 s for 60 deg at 7.4 V
+HX_35H = _lewansoul("HX-35H", 35, 55.6, max_voltage=14_000)  # 0.18 s for 60 deg at 11.1 V
+MODELS = (
+    *(AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350, XL_320),
+    *(STS3215, LX_16A, HX_35H),
+)
 MODEL_NAMED = MappingProxyType({model.name: model for model in MODELS})

@@ -209,6 +209,7 @@ class Units:
     load_sign: Sign
     torque: float  # [1] share of the stall torque per tick of the torque limit
     position_sign: Sign | None = None  # None for positions without a sign
+    overrun: int = 0  # [ticks] beyond the ends of joint mode in which a position may be
 
     @property
     def range_rad(self) -> float:
@@ -292,6 +293,7 @@ class ControlTable:
     unlocked: range = range(0)  # addresses that the host may write in spite of the lock
     lock: Register | None = None  # 1 protects the EEPROM
     hardware_error: Register | None = None  # errors that an answer does not carry
+    goal_time: Register | None = None  # [ms] for the way to the goal, 0 for the highest speed
     position_gain: Register | None = None  # of the position controller
     compliance: tuple[Register, ...] = ()  # margins and slopes, each clockwise and counterclockwise
 
@@ -393,6 +395,16 @@ class Recovery(StrEnum):
     TORQUE_LIMIT = "write the torque limit"
     TORQUE_ENABLE = "turn torque off and on"
     REBOOT = "reboot"
+    ITSELF = "wait: it ends with its cause"
+
+
+class Commands(NamedTuple):
+    """Commands of servos without registers, whose control table is ours; they do not answer writes."""
+
+    reading: Callable[[int, int], int]  # command that reads these bytes of the table, from address and size
+    answer_code: Callable[[bytes], int]  # code of the right answer to a request
+    inside: Callable[[int, int], list[tuple[int, int]]]  # address and size of what commands read in a range of addresses
+    lacks: frozenset[Register] = frozenset()  # registers of the table that no command reads or writes
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,11 +430,17 @@ class ServoModel:
     unlocks: bool = False  # whether writing 0 ends the lock; otherwise only a power cycle does
     feedback: Feedback = Feedback.ALL
     error_bits: Mapping[int, ServoError] = field(default_factory=lambda: _ERROR_BITS)  # of both error registers
+    commands: Commands | None = None  # None for a servo with registers
+    bus_rate: int = 1_000_000  # [bit/s] of a robot's bus
 
     @property
     def no_load_speed(self) -> float:
         """No-load speed [rad/s] in joint mode."""
         return self.no_load_rpm * 2.0 * math.pi / 60.0
+
+    def has(self, register: Register) -> bool:
+        """Return whether a servo of this model has a register of its table."""
+        return self.commands is None or register not in self.commands.lacks
 
     def hardware_errors(self, value: int) -> ServoError:
         """Return the errors in the hardware error register, or in the shutdown register."""

@@ -3,6 +3,7 @@
 import numpy as np
 
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.robot.profile import RobotProfile
@@ -15,10 +16,9 @@ PHANTOMX = load_profile("phantomx_mk2")
 class Desk:
     """A workbench, and ports to it that share one virtual time."""
 
-    def __init__(
-        self, profile: RobotProfile = PHANTOMX, *, fresh: bool = False, seed: int = 1, rate: int | None = 1_000_000
-    ) -> None:
+    def __init__(self, profile: RobotProfile = PHANTOMX, *, fresh: bool = False, seed: int = 1, rate: int | None = -1) -> None:
         self.profile = profile
+        rate = profile.servo_model.bus_rate if rate == -1 else rate
         self.bench = BenchEmulator(profile, np.random.default_rng(seed), fresh=fresh, rate=rate)
         self.tables = self.bench._servos.tables
         self.rates: list[int] = []  # rates at which a port was opened
@@ -27,11 +27,12 @@ class Desk:
     def clock(self) -> int:
         return self.port.now_ns()
 
-    def open(self, rate: int = 1_000_000) -> MemoryPort:
+    def open(self, rate: int | None = None) -> MemoryPort:
         """Close the port, and open another to the same servos, possibly at another rate."""
         now = self.clock()
         self.port.close()
         self.port = MemoryPort(self.bench, lambda: now)
+        rate = self.profile.servo_model.bus_rate if rate is None else rate
         self.rates.append(rate)
         if self.bench._rate is not None:
             self.bench.set_baud_rate(rate)
@@ -40,7 +41,7 @@ class Desk:
     def bus(self) -> ServoBus:
         names = self.profile.servo_names
         model = self.profile.servo_model
-        return ServoBus(self.open(), list(names), self.clock, model=model, names=names)
+        return bus_of(model)(self.open(), list(names), self.clock, model=model, names=names)
 
     def settle(self) -> None:
         """Wait until written data has arrived and the joints are at rest."""

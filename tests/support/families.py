@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY, make_servo_bank
@@ -16,7 +16,7 @@ from sextant.shared.robot.servo_proposal import proposed_battery
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import ServoModel
 
-FAMILIES = ("AX-12A", "MX-28", "XL-320", "XL430-W250", "XM430-W350", "STS3215")  # one servo of each control table, at least
+FAMILIES = ("AX-12A", "MX-28", "XL-320", "XL430-W250", "XM430-W350", "STS3215", "LX-16A")  # one of each control table, at least
 
 
 def robot_with(model_name: str) -> RobotProfile:
@@ -24,14 +24,15 @@ def robot_with(model_name: str) -> RobotProfile:
     profile, model = load_profile("printed_sts3215"), MODEL_NAMED[model_name]
     table, stall = model.table, MOTOR_AND_SUPPLY[model_name][0].stall_torque
     gain = model.default(table.position_gain) if table.position_gain else 0
+    stiffness = model.gain_stiffness if model.commands else gain * model.gain_stiffness
     servo = Servo(
         model=model_name,
         stall_torque=stall,
         no_load_speed=model.no_load_speed,
-        stiffness=stall * gain * model.gain_stiffness if gain else stall / (32 * model.units.tick_rad),
+        stiffness=stall * stiffness if stiffness else stall / (32 * model.units.tick_rad),
         armature=0.01,
         friction=0.03,
-        compliance_slope=0 if gain else 32,
+        compliance_slope=32 if table.compliance else 0,
         position_gain=gain,
         temperature_limit=float(model.default(table.temperature_limit)),
     )
@@ -46,14 +47,14 @@ class Bench:
         self.ids = tuple(range(1, n + 1))
         self.servos = make_servo_bank(robot_with(model_name).servo, self.ids, np.zeros(n))
         table = self.model.table
-        self.servos.column(table.baud_rate)[:] = self.model.rate_code(1_000_000)
+        self.servos.column(table.baud_rate)[:] = self.model.rate_code(self.model.bus_rate)
         self.emulator = ServoBusEmulator(self.servos)
         self.now_ns = 0
         self.port = MemoryPort(self.emulator, lambda: self.now_ns)
         if spoil is not None:
             read = self.port.read
             self.port.read = lambda size=1: spoil(read(size))  # type: ignore[method-assign]
-        self.bus = ServoBus(self.port, self.ids, self.port.now_ns, model=self.model)
+        self.bus = bus_of(self.model)(self.port, self.ids, self.port.now_ns, model=self.model)
 
     def pass_time(self, seconds: float, q: Array | None = None, torque: Array | None = None) -> None:
         """Let the servos run with joints at q (n,) [rad] and torques (n,) [N m], both 0 by default."""

@@ -5,10 +5,14 @@ from dataclasses import replace
 import pytest
 
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.servo.models import MODEL_NAMED
 from tests.support.families import FAMILIES, robot_with
 
 _LOOK_NS = 500_000_000
+OF_REGISTERS = [name for name in FAMILIES if MODEL_NAMED[name].commands is None]
 
 
 @pytest.mark.parametrize(
@@ -16,13 +20,27 @@ _LOOK_NS = 500_000_000
     [
         ("STS3215", "flat", 0.4),
         ("XL430-W250", "flat", 0.4),
-        *(pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.campaign) for name in FAMILIES),
+        ("LX-16A", "flat", 0.4),
+        *(
+            pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.campaign)
+            for name in OF_REGISTERS
+        ),
     ],
 )
 def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> None:
+    walk(robot_with(name), terrain, distance)
+
+
+@pytest.mark.campaign
+def test_robot_with_command_servos_walks_over_steps() -> None:
+    walk(load_profile("jethexa_hx35h"), "steps", load_scenario("steps").goal.distance)
+
+
+def walk(profile: RobotProfile, terrain: str, distance: float) -> None:
+    """Walk to the goal."""
     scenario = load_scenario(terrain)
     scenario = replace(scenario, goal=replace(scenario.goal, distance=distance))
-    run = LockstepRun(scenario, 1000, robot_with(name))
+    run = LockstepRun(scenario, 1000, profile)
     while not run.attendance.over():
         run.run(run.now_ns() + _LOOK_NS)
     report = run.attendance.judge(1.0, in_a_hurry=True)

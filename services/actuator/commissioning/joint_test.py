@@ -1,5 +1,6 @@
 """Joint test: move each joint slightly, slowly and with little torque, and back."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ from sextant.services.actuator.commissioning.torque_off import torque_off_if_int
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, health_problem, retry, scan_servo
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
-from sextant.shared.servo.servo_model import Block, signed
+from sextant.shared.servo.servo_model import Block, Feedback, signed
 
 STEP_DEG = 6.0
 _WAY_NS, _PATIENCE_NS = 600_000_000, 2_000_000_000  # [ns] for a motion of a third of a second, and timeout
@@ -28,14 +29,15 @@ class Moved:
     asked_deg: float
     moved_deg: float
     back_deg: float  # remaining error after the return
-    load: float  # maximum, as a share of the stall torque
+    load: float  # maximum, as a share of the stall torque; NaN if the servo does not measure it
     voltage: float  # [V]
     temperature: float  # [deg C]
     problem: str  # problem, or an empty string
 
     def __str__(self) -> str:
         """Return a one-line report."""
-        measured = f"load {100 * self.load:3.0f} %  {self.voltage:4.1f} V  {self.temperature:3.0f} deg C"
+        load = "" if math.isnan(self.load) else f"load {100 * self.load:3.0f} %  "
+        measured = f"{load}{self.voltage:4.1f} V  {self.temperature:3.0f} deg C"
         line = f"{self.name:<19} {self.way:<8} {self.moved_deg:+5.1f} of {self.asked_deg:+5.1f} deg  {measured}"
         return f"{line}  -> {self.problem}" if self.problem else line
 
@@ -67,9 +69,11 @@ def run_joint_test(
     """
     if not ready(bus, profile, operator):
         return None
+    has_limit = bus.model.has(bus.model.table.torque_limit)
+    torque = f"{100 * TORQUE_SHARE:.0f} % of its torque" if has_limit else "its full torque, which these servos cannot limit"
     if not operator.agree(
         f"Each joint of {len(legs)} legs will move by {STEP_DEG:g} deg and back, one at a time, slowly, with "
-        f"{100 * TORQUE_SHARE:.0f} % of its torque. Is the robot on a stand, its legs free?"
+        f"{torque}. Is the robot on a stand, its legs free?"
     ):
         operator.say("nothing was moved, torque is off")
         return None
@@ -120,14 +124,16 @@ def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tu
     table, units = bus.model.table, bus.model.units
     block = Block((table.present_position, table.present_load, table.moving))
     put(bus, servo_id, table.goal_position, goal)
-    began, load = clock(), 0.0
+    measures = Feedback.LOAD in bus.model.feedback
+    began, load = clock(), 0.0 if measures else math.nan
     while True:
         state = retry(lambda: bus.read_bytes(servo_id, block.address, block.size))
         if state is None:
             raise silent(bus, servo_id, "it was moving")
         position, load_register, moving = block.unpack(state)
         position = bus.model.position(position)
-        load = max(load, abs(signed(load_register, units.load_sign, table.present_load.size)) * units.load)
+        if measures:
+            load = max(load, abs(signed(load_register, units.load_sign, table.present_load.size)) * units.load)
         took = clock() - began
         if took > _PATIENCE_NS or (took > _WAY_NS and not moving):
             return position, load

@@ -66,16 +66,18 @@ def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -
 
 @contextmanager
 def limited_motion(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
-    """Limit torque and speed of servos; turn torque off and restore at the end.
+    """Limit torque and speed of servos, as far as their model can; turn torque off and restore at the end.
 
     The servos must be without torque.
     """
     table, units = bus.model.table, bus.model.units
-    before = {(i, r): get(bus, i, r) for i in servo_ids for r in (table.goal_speed, table.torque_limit)}
+    limits = [r for r in (table.goal_speed, table.torque_limit) if bus.model.has(r) or r is table.goal_speed]
+    before = {(i, r): get(bus, i, r) for i in servo_ids for r in limits}
     again = {(i, table.torque_enable): 0 for i in servo_ids} | before
     try:
         for i in servo_ids:
-            put(bus, i, table.torque_limit, round(TORQUE_SHARE / units.torque))
+            if bus.model.has(table.torque_limit):
+                put(bus, i, table.torque_limit, round(TORQUE_SHARE / units.torque))
             put(bus, i, table.goal_speed, max(round(_SPEED_RAD_S / units.speed_rad_s), 1))
         yield
     finally:

@@ -126,7 +126,6 @@ def scan(line: Line, ids: Iterable[int] | None = None, known: Collection[int] | 
 def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
     """Return a table of the servos, one per line; "?" follows the joint of a servo with factory settings."""
     answering = {seen.servo_id: seen for _, seen in found}
-    firmware = profile.servo_model.table.firmware
     unassigned = is_unassigned(answering, profile.servo_names, profile.servo_model)
     lines = [f"{'id':>3}  {'baud':>7}  {'model':<8} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
     for rate, seen in found:
@@ -139,8 +138,9 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
         if seen.identified and seen.identified.table is not profile.servo_model.table:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8}")  # its measurements are in other registers
             continue
+        firmware = "-" if seen.firmware is None else f"{seen.firmware}"
         measured = f"{seen.voltage:>5.1f} V  {seen.temperature:>5.0f} deg C"
-        lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {seen[firmware]:>8}  {measured}  {name}".rstrip())
+        lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {firmware:>8}  {measured}  {name}".rstrip())
     return "\n".join(lines)
 
 
@@ -169,16 +169,17 @@ def verdict(
         each: Name each missing servo even if all are missing; otherwise that is one problem.
     """
     names = {i: name for i, name in profile.servo_names.items() if asked is None or i in asked}
-    heard = {seen.servo_id: seen for rate, seen in found if rate == BAUD_RATE}
+    usual = profile.servo_model.bus_rate
+    heard = {seen.servo_id: seen for rate, seen in found if rate == usual}
     wrong = problems(names, heard, profile.servo_model)
     missing, unanswered = [i for i in names if i not in heard], []
     if not each and len(missing) == len(names) > 1:
         missing, unanswered = [], [Problem(f"none of {len(names)} servos answers", _NO_ANSWER_ADVICE)]
         wrong = {i: problem for i, problem in wrong.items() if i not in names}
     for rate, seen in found:
-        if rate != BAUD_RATE:
+        if rate != usual:
             reset = f"; {reset_servos(missing, names)}" if seen.servo_id == FACTORY_ID and missing else ""
-            words = f"servo {seen.servo_id} answers at {rate} baud, {BAUD_RATE} expected{reset}"
+            words = f"servo {seen.servo_id} answers at {rate} baud, {usual} expected{reset}"
             wrong[-seen.servo_id - 1] = Problem(words, "`sextant servos set-id` sets its rate")
     for i, seen in heard.items():
         if (
@@ -281,10 +282,10 @@ def _is_set(one: Found, profile: RobotProfile) -> bool:
     A servo with only the id was interrupted or is foreign.
     """
     seen = one.seen
-    if one.rate != BAUD_RATE or not _has_place(one, profile) or seen.is_wheel:
-        return False
     model = profile.servo_model
-    wanted = {**model.joint_settings, model.table.baud_rate: model.rate_code(BAUD_RATE)}
+    if one.rate != model.bus_rate or not _has_place(one, profile) or seen.is_wheel:
+        return False
+    wanted = {**model.joint_settings, model.table.baud_rate: model.rate_code(model.bus_rate)}
     return all(seen[register] == value for register, value in wanted.items())
 
 
@@ -419,13 +420,13 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
         refused = [
             register.name for register, value in wanted.joint_settings.items() if not ensure(bus, target, register, value)
         ]
-    fast = wanted.rate_code(BAUD_RATE)
+    fast = wanted.rate_code(wanted.bus_rate)
     if not refused and seen[table.baud_rate] != fast:  # last, because it then no longer answers at this rate
         bus.write_unacknowledged(target, table.baud_rate, fast)
-    if not refused and table.lock and wanted.unlocks and not ensure(line.at(BAUD_RATE), target, table.lock, 1):
+    if not refused and table.lock and wanted.unlocks and not ensure(line.at(wanted.bus_rate), target, table.lock, 1):
         refused.append(table.lock.name)  # last, because it ends the writing of all others
-    back = scan_servo(line.at(BAUD_RATE), target)
-    given = None if back is None else Found(BAUD_RATE, back)
+    back = scan_servo(line.at(wanted.bus_rate), target)
+    given = None if back is None else Found(wanted.bus_rate, back)
     if refused or given is None or not _is_set(given, profile):
         what = f"it did not accept {', '.join(refused)}" if refused else "it does not answer at its new id"
         operator.say(f"setting {named(target, profile.servo_names)}: {what}; switch its power off and on, then try again")

@@ -18,6 +18,7 @@ from sextant.services.actuator.estimation.goal_check import GoalCheck
 from sextant.services.actuator.estimation.stance_fit import JointOffsets, Slip, Stance, largest_change, measure_stance
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.servo.servo_model import Feedback
 
 _SETTLE_CYCLES = 3  # after lift-off, in which the other legs take up the load
 _STANCE_CYCLES = 10  # shortest stance that is evaluated
@@ -120,7 +121,9 @@ class LegMonitor:
         for index in self.goals.take_weak():
             if self._unusual and not self._weak_for:  # another leg may hold it
                 continue
-            words = f"{self._servo(index)} shows its full torque and stays behind its goal: it is weak, or something holds it"
+            measures = Feedback.LOAD in self._profile.servo_model.feedback
+            shows = "shows its full torque and" if measures else "has no torque, or not enough: it"
+            words = f"{self._servo(index)} {shows} stays behind its goal: it is weak, or something holds it"
             if not self._weak:
                 self._weak = f"{words}; walking slower"
             elif self._weak.startswith(words) and self._weak_for < _REMEMBERED_STANCES - 1:  # not while it is held once

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.actuator.estimation.free_motion import FreeMotion
 from sextant.services.actuator.estimation.params import TouchdownParams
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import link_torques
@@ -59,8 +60,8 @@ class TouchdownDetector:
     its contact matters. Goals are steps, and the load of a turning leg falls from one goal to the next. Therefore readings are
     converted to a fixed time after the goals were sent.
 
-    Where servos measure no speed, the motion is that of the goals: a tick of their positions from one cycle to the next is too
-    coarse for an acceleration. A foot that is stopped then shows by the distance to its goal alone.
+    Where servos measure no speed, a tick of their positions from one cycle to the next is too coarse for an acceleration. The
+    push is then what keeps the femur from the angle that it would have in the air, see `FreeMotion`.
 
     Tests verify that free swings stay below the limits, and that a stopped foot exceeds them within three readings, with
     armatures known to within a factor of 1.6.
@@ -71,7 +72,8 @@ class TouchdownDetector:
         self._profile, self._params = profile, params or TouchdownParams()
         self.period_ns = 20_000_000  # [ns] from the last control cycle, in which goals were sent, to this one
         self._inertia = _leg_inertia(profile)
-        self._measures_speed = Feedback.SPEED in profile.servo_model.feedback
+        measures = Feedback.SPEED in profile.servo_model.feedback
+        self._free = None if measures else FreeMotion(profile.servo, self._inertia)
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
         # All of them are lists, one number for each leg: readings come leg by leg.
         self._speed = [0.0] * 6  # [rad/s] of the femurs, by the newest readings
@@ -95,15 +97,19 @@ class TouchdownDetector:
         changes = [goal - before for goal, before in zip(goals, self._goal, strict=True)]
         self._goal_change_difference = [abs(change - before) for change, before in zip(changes, self._goal_change, strict=True)]
         self._goal_change, self._goal = changes, goals
+        if self._free is not None:
+            self._free.follow(goals, q[:, FEMUR].tolist(), self._holding_torque, self.period_ns * 1e-9)
 
     def add_reading(self, leg: int, femur: FemurReading) -> None:
         """Compute the ground force on a foot from a reading of its femur."""
         speed, since_ns = femur.speed, femur.stamp_ns - self._stamp_ns[leg]
-        if not self._measures_speed:
-            speed = self._goal_change[leg] / (self.period_ns * 1e-9)
-            femur = femur._replace(speed=speed)
         speed_change, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
         self._push_before[leg] = self._push[leg]
+        if self._free is not None:
+            self._valid[leg] = True  # one reading is enough
+            self._push_before[leg] *= 0 < since_ns <= _MAX_READING_GAP * self.period_ns
+            self._push[leg] = self._push_of_free(self._free, leg, femur)
+            return
         self._valid[leg] = 0 < since_ns <= _MAX_READING_GAP * self.period_ns
         if not self._valid[leg]:
             self._push[leg] = self._push_before[leg] = 0.0  # acceleration is unknown
@@ -118,6 +124,17 @@ class TouchdownDetector:
         push = (motion_torque + self._holding_torque[leg] - self._load_at_balance(leg, femur)) / self._arm[leg]
         free = abs(speed) > self._params.free_speed_share * servo.no_load_speed
         self._push[leg] = 0.0 if free else math.copysign(max(abs(push) - uncertainty / self._arm[leg], 0.0), push)
+
+    def _push_of_free(self, free: FreeMotion, leg: int, femur: FemurReading) -> float:
+        """Return the ground force [N] on a foot that keeps its femur from where it would be in the air."""
+        servo, arm = self._profile.servo, self._arm[leg]
+        after_ns = min(max(femur.stamp_ns - femur.told_ns, 0), 2 * self.period_ns)
+        angle, accelerates = free.at(leg, after_ns * 1e-9)
+        push = servo.stiffness * (femur.angle - angle) / arm
+        tick = self._profile.servo_model.units.tick_rad
+        known = servo.friction + servo.stiffness * tick / 2
+        uncertainty = known + self._params.doubt_share * abs(accelerates)
+        return math.copysign(max(abs(push) - uncertainty / arm, 0.0), push)
 
     def _load_at_balance(self, leg: int, femur: FemurReading) -> float:
         """Return a femur's motor torque [N m] when the torque balance holds.

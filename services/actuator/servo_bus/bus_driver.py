@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, PingResponses, Problem
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
-from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, state_decoder
+from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State, state_decoder
 from sextant.services.actuator.servo_bus.serial_port import (
     BAUD_RATE,
     BYTE_NS,
@@ -129,7 +129,9 @@ class ServoBus:
         self._loss = LossRate(_LOSS_WINDOW_NS)
         self._validator, self._decode = ReadingValidator(n, model), state_decoder(model)
 
-        self._requests = [self._protocol.read(i, self._table.state.address, self._table.state.size) for i in servo_ids]
+        address, self._answer_size = self._state_bytes()  # of what is read in the loop
+        self._requests = [self._protocol.read(i, address, self._answer_size) for i in servo_ids]
+        self._overdue_ns = _OVERDUE_NS
         self._next = 0
         self._singly_until_ns = 0  # [ns] time up to which no request reads several servos
         self._again: list[int] = []  # indices to be read first in the next call
@@ -353,7 +355,7 @@ class ServoBus:
         for _ in range(len(self) + len(urgent)):
             if start + min(self._typical_ns, max(budget_ns, 1)) > end:  # at least one
                 break
-            if ahead and start - self._asked_ns[self._next] <= _OVERDUE_NS:
+            if ahead and start - self._asked_ns[self._next] <= self._overdue_ns:
                 i = ahead.popleft()
             else:
                 i = self._next
@@ -398,7 +400,7 @@ class ServoBus:
             if start > end_ns:
                 break
             self._asked_ns[index] = start
-            answer = self._line.exchange(self._requests[index], self.servo_ids[index], self._table.state.size, end_ns, start)
+            answer = self._line.exchange(self._requests[index], self.servo_ids[index], self._answer_size, end_ns, start)
             done = self._clock()
             heard = answer is not None and not self._refuses(answer)
             found = self._taken(index, start, answer if heard else None, done)
@@ -479,7 +481,7 @@ class ServoBus:
             error |= self._alerts.setdefault(index, ServoError.NONE)
         elif self._alerts:
             self._alerts.pop(index, None)
-        state = self._decode(stamp_ns, self._table.state.unpack(answer.parameters), int(error))
+        state = self._state_in(stamp_ns, answer.parameters, int(error))
         refused = self._validator.refusals
         believed = self._validator.accepts(index, state, self._is_noisy(index, now_ns))
         for _ in range(self._validator.refusals - refused):  # this reading, or the earlier one that it contradicts
@@ -488,7 +490,19 @@ class ServoBus:
             return None
         self._loss.note(now_ns, False)
         self.errors[index] = state.error
-        return reading(index, answer.servo_id, self._told_ns, state, error, self._units)
+        return self._reading_of(index, state, error)
+
+    def _state_bytes(self) -> tuple[int, int]:
+        """Return address and size [bytes] of what is read from each servo in the loop."""
+        return self._table.state.address, self._table.state.size
+
+    def _state_in(self, stamp_ns: int, data: bytes, error: int) -> State:
+        """Return the state in the bytes that are read in the loop."""
+        return self._decode(stamp_ns, self._table.state.unpack(data), error)
+
+    def _reading_of(self, index: int, state: State, error: ServoError) -> ServoReading:
+        """Return the reading of an accepted state."""
+        return reading(index, self.servo_ids[index], self._told_ns, state, error, self._units)
 
     def _read_alert(self, end_ns: int) -> None:
         """Read the hardware errors of one servo that alerts, that whose errors were read longest ago.

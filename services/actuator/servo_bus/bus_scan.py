@@ -133,6 +133,8 @@ class ServoScan:
     @property
     def model(self) -> str:
         """Name of its model, or its number."""
+        if not self.expected.has(self.expected.table.model_number):
+            return "not told"
         found = self.identified
         return found.name if found else f"model {self.number}"
 
@@ -148,6 +150,11 @@ class ServoScan:
     def number(self) -> int:
         """Number of its model."""
         return self[self.expected.table.model_number]
+
+    @property
+    def firmware(self) -> int | None:
+        """Version of its firmware, None if it does not tell."""
+        return self[self.expected.table.firmware] if self.expected.has(self.expected.table.firmware) else None
 
     @property
     def voltage(self) -> float:
@@ -264,16 +271,22 @@ def _shared(found: Mapping[int, Problem], names: Mapping[int, str]) -> dict[int,
 def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str], model: ServoModel) -> bool:
     """Return whether the servo with the factory id may belong to any joint, although a joint has that id.
 
-    It has the return delay of the factory, which `sextant servos set-id` changes, and no other servo of the robot has it;
+    It has the factory's value of the setting that `sextant servos set-id` changes last, and no other servo of the robot has it;
     servos that another program has set up keep it. If none is missing, it is the servo of that joint.
     """
     first = seen.get(FACTORY_ID)
-    if first is None or FACTORY_ID not in names or first.response is not BusResponse.CLEAR or names.keys() <= seen.keys():
+    if (
+        not model.joint_settings
+        or first is None
+        or FACTORY_ID not in names
+        or first.response is not BusResponse.CLEAR
+        or names.keys() <= seen.keys()
+    ):
         return False
     others = [one for i, one in seen.items() if i in names and i != FACTORY_ID and one.response is BusResponse.CLEAR]
-    register = model.table.return_delay
-    delay = model.default(register)
-    return first[register] == delay and all(one[register] != delay for one in others)
+    register = next(reversed(model.joint_settings))
+    new = model.default(register)
+    return first[register] == new and all(one[register] != new for one in others)
 
 
 def unreachable(missing: Collection[int], names: Mapping[int, str]) -> dict[int, Problem]:
@@ -367,7 +380,8 @@ def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -
     low, high = seen[table.low_limit], seen[table.high_limit]
     hot, usual = seen[table.temperature_limit], model.default(table.temperature_limit)
     torque, most = seen[table.max_torque], model.default(table.max_torque)
-    unguarded = _PROTECTION & ~model.hardware_errors(seen[table.shutdown])
+    protects = _PROTECTION & model.hardware_errors(model.default(table.shutdown))  # as its factory sets it
+    unguarded = protects & ~model.hardware_errors(seen[table.shutdown])
     guarded = seen[table.shutdown] | model.hardware_error_code(_PROTECTION)
     narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
     bare = f"does not shut down for {error_words(unguarded)}"

@@ -58,7 +58,7 @@ class Joints:
         self._profile, self._settings, self._clock = profile, settings, clock
         self._table, self._units = profile.servo_model.table, profile.servo_model.units
         self._measures_load = Feedback.LOAD in profile.servo_model.feedback
-        self._opener = opener or PortFinder(settings).open
+        self._opener = opener or PortFinder(settings, profile.servo_model.bus_rate).open
         self.offsets = np.zeros((6, 3))  # [rad] by which links are ahead of their encoders, besides the profile's trims
         self._set_horns()
         self._budget_ns = round(settings.read_budget_ms * 1e6)

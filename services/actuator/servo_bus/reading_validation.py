@@ -156,7 +156,11 @@ class ReadingValidator:
         """Return why a reading is doubtful, or None."""
         units = self._units
         too_large = abs(state.speed) > self._speed_range or abs(state.load) > self._load_range
-        if too_large or not 0 <= state.position <= units.max_position or state.error & self._unknown_errors:
+        if (
+            too_large
+            or not -units.overrun <= state.position <= units.max_position + units.overrun
+            or state.error & self._unknown_errors
+        ):
             return Implausibility.RANGE
         before = self._accepted[index]
         if before is None:

@@ -196,6 +196,8 @@ class SerialLine:
         self._echo = echo
         self._protocol, self._max_parameters = model.protocol, model.table.size
         self._parser = self._protocol.answer_parser(self._max_parameters)
+        self._answer_code = model.commands.answer_code if model.commands else None
+        self._code = -1  # of the right answer to the last request, where answers have one
         self._stale = False  # bytes of a lost answer may remain in the port ...
         self._settled_ns = 0  # ... or arrive until then
         self._unheard = bytearray()  # sent, echo not yet read
@@ -243,6 +245,8 @@ class SerialLine:
         """
         if self._parser.pending:  # from earlier data
             self._parser.flush()
+        if self._answer_code is not None:
+            self._code = self._answer_code(request)
         now_ns = self._clock() if now_ns is None else now_ns
         self.send(request, now_ns)
         answer = self._await(servo_id, size, end_ns, now_ns)
@@ -376,7 +380,7 @@ class SerialLine:
         return data
 
     def _is_answer(self, packet: Packet, servo_id: int, size: int) -> bool:
-        if packet.servo_id != servo_id:
+        if packet.servo_id != servo_id or (self._answer_code is not None and packet.code != self._code):
             self.lost[Lost.STRANGER] += 1
             return False
         if len(packet.parameters) == size or (self._protocol.ERRORS[packet.code] & REFUSAL and not packet.parameters):

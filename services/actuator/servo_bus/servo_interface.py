@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import mcu_bridge, usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import (
+    BAUD_RATE,
     REPLY_TIMEOUT_NS,
     BusDisconnectedError,
     BusSetupError,
@@ -18,6 +19,7 @@ from sextant.services.actuator.servo_bus.bus_driver import (
     ServoReading,
     open_port,
 )
+from sextant.services.actuator.servo_bus.command_bus import CommandBus
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
 from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
 from sextant.shared.robot.profile import RobotProfile
@@ -113,8 +115,9 @@ def read_timeout_ns(settings: Settings) -> int:
 class PortFinder:
     """Finds the servo port by any of its names or its adapter's USB identity."""
 
-    def __init__(self, settings: Settings):
-        """Store the port names of the settings, which are separated by commas."""
+    def __init__(self, settings: Settings, rate: int = BAUD_RATE):
+        """Store the port names of the settings, which are separated by commas, and the baud rate [1/s]."""
+        self._rate = rate
         self._names = [name.strip() for name in settings.port.split(",")]
         self._timeout_ns = read_timeout_ns(settings)
         self._adapter: tuple[int, int, str] | None = None
@@ -128,7 +131,7 @@ class PortFinder:
         found: list[str] = []
         for name in dict.fromkeys([*self._names, *usb_adapter.renamed_devices(self._adapter)]):
             try:
-                port = open_port(name, timeout_ns=self._timeout_ns)
+                port = open_port(name, self._rate, self._timeout_ns)
             except BusDisconnectedError as error:
                 found.append(str(error))
             else:
@@ -145,5 +148,13 @@ def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callab
             raise BusSetupError(f"the hobby servos of {profile.name} have no bridge; turn the setting `bridge` off")
         return PwmServos(port, list(names), clock, profile.servo.pulses)
     if settings.bridge:
+        if model.commands is not None:
+            raise BusSetupError(
+                f"a bridge to servos with registers expected, found {model.name} in the profile {profile.name}; "
+                "connect these servos to an adapter, and turn the setting `bridge` off"
+            )
         return Bridge(port, list(names), clock, model=model, names=names, lock=lock)
+    if model.commands is not None:
+        stiffness = profile.servo.stiffness / profile.servo.stall_torque
+        return CommandBus(port, list(names), clock, model=model, names=names, echo=settings.echo, stiffness=stiffness)
     return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo, lock=lock)

@@ -23,6 +23,8 @@ def end(bus: Servos, servo_id: int, goal_ticks: int, torque_limit: int, may_pull
     def write(register: Register, value: int) -> bool:
         return bus.write(servo_id, register, value) or bus.write(servo_id, register, value)
 
+    if bus.model.recovery is Recovery.ITSELF:
+        return True
     table = bus.model.table
     if bus.model.recovery is Recovery.REBOOT:
         bus.reboot(servo_id)

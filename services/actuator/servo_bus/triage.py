@@ -7,7 +7,6 @@ from typing import NamedTuple
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, refuse_another_device, retry
-from sextant.services.actuator.servo_bus.serial_port import BAUD_RATE
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
@@ -25,7 +24,8 @@ class Opener(NamedTuple):
 
 def usual_rates(model: ServoModel) -> tuple[int, ...]:
     """Return the baud rates [1/s] at which servos of a model may answer: the robot's own, and those of factories."""
-    return _apart((BAUD_RATE, model.rates[model.default(model.table.baud_rate)], *_FACTORY_RATES))
+    others = _FACTORY_RATES if model.commands is None else ()
+    return _apart((model.bus_rate, model.rates[model.default(model.table.baud_rate)], *others))
 
 
 def all_rates(model: ServoModel) -> tuple[int, ...]:

@@ -60,14 +60,14 @@ class BenchEmulator(ServoBusEmulator):
         else:
             for register, value in model.joint_settings.items():
                 self._servos.column(register)[:] = value
-            self._servos.column(table.baud_rate)[:] = model.rate_code(BusTiming().baud_rate)
+            self._servos.column(table.baud_rate)[:] = model.rate_code(model.bus_rate)
         self._plugged = set() if fresh else set(range(len(ids)))
         self._rate = rate
         self._now_ns = -1  # [ns] bus time up to which the joints have moved
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiles the code before the first packet ...
         self._servos.read(0, table.state.address, table.state.size)  # ... whose response must be in time
-        super().__init__(self._servos, BusTiming(), echo=echo)
+        super().__init__(self._servos, BusTiming(model.bus_rate), echo=echo)
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
         """Advance the joints to a time [ns], then process the bytes of the host."""

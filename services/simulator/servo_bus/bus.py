@@ -87,7 +87,7 @@ class ServoBusEmulator(AnswersOnly):
         self.breaks_off = False  # whether the servos behind a silent one do not answer a sync read: no manual tells
         self.overhear: Callable[[bytes, int], object] = _nobody  # receives the arriving bytes and their time [ns]
         self._bank = bank
-        self._timing = timing or BusTiming()
+        self._timing = timing or BusTiming(bank.model.bus_rate)
         self._echo = echo
         self._model, self._registers, self._protocol = bank.model, bank.table, bank.model.protocol
         # One read returns what the answer of a servo depends on.
@@ -381,6 +381,9 @@ class ServoBusEmulator(AnswersOnly):
 
         A servo responds if its status return level requires it.
         """
+        commands = self._model.commands
+        if commands is not None and read is None:  # only what reads is answered
+            return []
         everything = self._registers.status_return_level.max
         needed = 0 if always else everything - 1 if read else everything
         answers: list[tuple[int, int, bytes]] = []  # id, delay [ns] and response of each servo
@@ -391,7 +394,8 @@ class ServoBusEmulator(AnswersOnly):
                 continue
             delay *= _RETURN_DELAY_NS
             data = self._table(row, *read, at_ns=time_ns) if read else self._identity(row) if always else b""
-            said = self._protocol.status(servo_id, self._error_code(row, error), data)
+            code = self._error_code(row, error) if commands is None or read is None else commands.reading(*read)
+            said = self._protocol.status(servo_id, code, data)
             answers.append((servo_id, delay, said))
         replies: list[Reply] = []
         for servo_id, delay, data in answers if len(answers) == 1 else self._heard(answers):

@@ -78,6 +78,8 @@ XM430_W350_MOTOR = Motor(stall_torque=4.1, stall_current=2.3, standby_current=0.
 # A DS3218 at 6.8 V. A battery behind a step-down converter keeps this voltage.
 PWM_MOTOR = Motor(stall_torque=2.11, stall_current=2.3, standby_current=0.005)
 PWM_SUPPLY = Supply(full_voltage=6.8, empty_voltage=6.8, resistance=0.01)
+LX_16A_MOTOR = Motor(stall_torque=1.67, stall_current=2.4, standby_current=0.1)  # at 7.4 V; 17 kg cm; currents assumed
+HX_35H_MOTOR = Motor(stall_torque=3.43, stall_current=3.0, standby_current=0.1)  # at 11.1 V; 35 kg cm; currents assumed
 AX_18A_MOTOR = Motor(stall_torque=1.8, stall_current=2.2)
 AX_12W_MOTOR = Motor(stall_torque=0.2, stall_current=1.4)
 MOTOR_AND_SUPPLY = {
@@ -94,6 +96,8 @@ MOTOR_AND_SUPPLY = {
     "XM430-W350": (XM430_W350_MOTOR, Supply()),
     "STS3215": (STS3215_MOTOR, Supply()),
     "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
+    "LX-16A": (LX_16A_MOTOR, Supply(full_voltage=8.4, empty_voltage=6.6)),
+    "HX-35H": (HX_35H_MOTOR, Supply()),
 }
 
 # [ns] maximum extrapolation of joint motion from a physics step; in lockstep, a cycle reads up to this far ahead of the step.
@@ -276,7 +280,7 @@ class ServoBank:
             charge: Initial charge of the battery, 0 to 1.
             temperature: Initial temperature of the motors [deg C], ambient by default.
             variation: Deviations from the data sheet, none by default.
-            stiffness: [N m/rad] of servos without registers for it.
+            stiffness: [N m/rad] of servos without registers for it; 0 for that of their model.
             dead_band_rad: [rad] change of the goal that these servos ignore.
 
         Raises:
@@ -291,7 +295,7 @@ class ServoBank:
         self.motor = motor
         self._variation = variation or ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
         self._stall_torque = motor.stall_torque * self._variation.torque  # (n,) [N m]
-        self._spring, self._dead_band_rad = stiffness, dead_band_rad
+        self._spring, self._dead_band_rad = stiffness or motor.stall_torque * model.gain_stiffness, dead_band_rad
         self.slipped = np.zeros(n)  # (n,) [rad] by which each encoder is ahead of its link
         self.protection = protection or Protection()
         p = self.protection
@@ -334,6 +338,7 @@ class ServoBank:
             Recovery.TORQUE_LIMIT: self._torque_limits,
             Recovery.TORQUE_ENABLE: self._tripped_share,
             Recovery.REBOOT: self.column(table.torque_enable),
+            Recovery.ITSELF: self._tripped_share,
         }[model.recovery]
         self._tripped = np.zeros(n, dtype=np.uint8)  # error bits whose conditions are met now
         self._stalled_for = np.zeros(n)  # [s]
@@ -392,6 +397,8 @@ class ServoBank:
         self._goals_changed = True
         if address >= goals.address and end <= goals.address + goals.size:  # the usual case
             self._bytes[start + address : start + end] = data
+            if self.table.goal_time is not None:
+                self._set_speed(row, self.table.goal_time)
             return
         enable = start + self.table.torque_enable.address
         was_on = self._bytes[enable]
@@ -404,6 +411,13 @@ class ServoBank:
         if self._ends_shutdown(row, address, end):
             self._latched_errors[row], self._tripped_share[row] = 0, 1.0
         self._settings_changed = True
+
+    def _set_speed(self, row: int, goal_time: Register) -> None:
+        """Set the goal speed with which a servo reaches its goal in its time, from the present angle of its ramp."""
+        time_ms, units = int(self.column(goal_time)[row]), self._units
+        way = abs(units.angle(int(self._goals[row])) - self._setpoint[row])
+        speed = math.ceil(way / (time_ms * 1e-3) / units.speed_rad_s) if time_ms else 0
+        self.column(self.table.goal_speed)[row] = min(speed, self.table.goal_speed.max)
 
     def _keep_eeprom(self, row: int, address: int, data: bytes) -> None:
         """Before a write: keep what the EEPROM of a locked servo will be after a loss of power."""
@@ -422,7 +436,7 @@ class ServoBank:
                 return address <= self.table.torque_limit.address < end
             case Recovery.TORQUE_ENABLE:
                 return address <= self.table.torque_enable.address < end and not self.column(self.table.torque_enable)[row]
-            case Recovery.REBOOT:
+            case Recovery.REBOOT | Recovery.ITSELF:
                 return False
 
     def set_faults(self, faults: ServoFaults | None) -> None:
@@ -532,7 +546,9 @@ class ServoBank:
         if self._has_faults:
             self._tripped |= self._active_faults.tripped
             tripped = bool(self._tripped.any())
-        if tripped:
+        if self.model.recovery is Recovery.ITSELF:
+            self._unload()
+        elif tripped:
             self._latched_errors |= self._tripped & np.uint8(self.model.errors)  # a servo that reports none has no protection
             kinds = np.array([self._shuts_down_for(row) for row in range(len(self))])
             down = (self._tripped & kinds != 0) & (self._shut_down_by != 0)
@@ -543,6 +559,16 @@ class ServoBank:
     def _shuts_down_for(self, row: int) -> int:
         """Return the errors for which a servo shuts down."""
         return int(self.model.hardware_errors(int(self.column(self.table.shutdown)[row])))
+
+    def _unload(self) -> None:
+        """Give servos no torque as long as they are too hot, or their voltage is outside its limits."""
+        table, volts = self.table, self.voltage / self._units.volt
+        low = (volts < self.column(table.min_voltage)) | (volts > self.column(table.max_voltage))
+        found = (self._tripped | np.where(low, np.uint8(ServoError.INPUT_VOLTAGE), 0)) & self.column(table.shutdown)
+        if (found != self._latched_errors).any():
+            self._latched_errors[:] = found
+            self._tripped_share[:] = found == 0
+            self._settings_changed = True
 
     def _shut_down(self, down: NDArray[np.bool_]) -> None:
         """Turn the motors of servos (n,) off, as their model does."""
@@ -650,7 +676,7 @@ class ServoBank:
         self.column(table.present_position)[:] = values[:, 0]
         self.column(table.present_speed)[:] = values[:, 1]
         self.column(table.present_load)[:] = values[:, 2]
-        self.column(table.present_voltage)[:] = min(max(round(self.voltage / self._units.volt), 0), 255)
+        self.column(table.present_voltage)[:] = min(max(round(self.voltage / self._units.volt), 0), table.present_voltage.max)
         self.column(table.present_temperature)[:] = values[:, 3]
         self.column(table.moving)[:] = values[:, 4]
         if table.hardware_error is not None:

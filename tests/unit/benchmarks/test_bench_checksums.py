@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import cli
 from benchmarks.robot import checksums
+from sextant.shared.servo import lx16a
 from sextant.shared.servo.models import MODEL_NAMED
 
 
@@ -28,11 +29,13 @@ def test_accepted_wrong_values_keep_the_odds_of_the_checksum(name: str) -> None:
 
 @pytest.mark.parametrize("name", checksums.MODEL_NAMES)
 def test_whole_packet_with_other_values_is_found_in_noise(name: str) -> None:
-    protocol, rng = MODEL_NAMED[name].protocol, Random(3)
-    answer, other = (protocol.status(7, 0, bytes((k, 3, 9, 12, 40))) for k in (1, 2))
+    model, rng = MODEL_NAMED[name], Random(3)
+    protocol = model.protocol
+    code, rest = (lx16a.Command.POS_READ, (3,)) if model.commands else (0, (3, 9, 12, 40))
+    answer, other = (protocol.status(7, code, bytes((k, *rest))) for k in (1, 2))
     assert not checksums.contains_other(protocol, 7, answer, answer)
     assert checksums.contains_other(protocol, 7, answer, rng.randbytes(5) + other + rng.randbytes(4))
-    assert not checksums.contains_other(protocol, 7, answer, protocol.status(8, 0, bytes((2, 3, 9, 12, 40))))
+    assert not checksums.contains_other(protocol, 7, answer, protocol.status(8, code, bytes((2, *rest))))
 
 
 def test_checksums_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

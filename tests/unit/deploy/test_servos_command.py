@@ -155,7 +155,7 @@ def test_no_answering_servos_is_reported_once(bench: BenchEmulator, url: str, ca
     words = ["servos", "scan", "--port", url, "--ids", "1:4"]
     assert cli.main(words) == 1
     told = capsys.readouterr().out.splitlines()
-    assert told[0] == f"no servo answers on {url} as AX-12A, nor another servo in Dynamixel Protocol 2.0"
+    assert told[0] == f"no servo answers on {url} as AX-12A, nor another servo in LewanSoul or Dynamixel Protocol 2.0"
     assert len(told) == 2
     assert cli.main([*words, "--json"]) == 1
     problems = json.loads(capsys.readouterr().out)["problems"]

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from sextant.shared.servo import dynamixel, dynamixel2
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Recovery, ServoModel
 
@@ -13,19 +12,19 @@ ENDS = {
     Recovery.TORQUE_LIMIT: "the torque limit",
     Recovery.TORQUE_ENABLE: "torque off, then on",
     Recovery.REBOOT: "a reboot",
+    Recovery.ITSELF: "its cause",
 }
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 def test_row_states_the_model(model: ServoModel) -> None:
-    bus = {dynamixel: "Dynamixel Protocol 1.0", dynamixel2: "Dynamixel Protocol 2.0"}.get(model.protocol, "Feetech STS")
     ticks = model.units.max_position + 1
-    whole = "300" if ticks == 1024 else "360"
-    gain = "compliance slope" if model.table.compliance else "position gain"
+    whole = {1024: "300", 4096: "360", 1001: "240"}[ticks]
+    gain = "compliance slope" if model.table.compliance else "position gain" if model.table.position_gain else "not published"
     row = [
         model.name,
-        f"{model.number}",
-        bus,
+        f"{model.number}" if model.has(model.table.model_number) else "-",
+        model.protocol.NAME,
         f"{ticks} in {whole} deg",
         f"{model.no_load_rpm:.0f} rpm",
         gain,

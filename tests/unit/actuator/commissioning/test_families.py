@@ -11,6 +11,7 @@ from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joi
 from sextant.services.actuator.commissioning.set_ids import Line
 from sextant.services.actuator.commissioning.torque_off import torque_off
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.actuator.servo_bus.triage import usual_rates
 from sextant.shared.robot.profile import LEGS, Calibration
 from sextant.shared.servo.servo_model import Register
@@ -23,8 +24,8 @@ OTHERS = [name for name in FAMILIES if name != "AX-12A"]  # for which the other 
 
 def line(desk: Desk) -> Line:
     def at(rate: int) -> ServoBus:
-        names = desk.profile.servo_names
-        return ServoBus(desk.open(rate), list(names), desk.clock, names=names, model=desk.profile.servo_model)
+        names, model = desk.profile.servo_names, desk.profile.servo_model
+        return bus_of(model)(desk.open(rate), list(names), desk.clock, names=names, model=model)
 
     return Line(at, usual_rates(desk.profile.servo_model))
 
@@ -44,7 +45,7 @@ def test_ids_of_18_new_servos_are_set(name: str) -> None:
     desk.settle()
     model, table = bank.model, bank.table
     assert sorted(bank.column(table.id).tolist()) == sorted(desk.profile.servo_names)
-    for register, value in {**model.joint_settings, table.baud_rate: model.rate_code(1_000_000)}.items():
+    for register, value in {**model.joint_settings, table.baud_rate: model.rate_code(model.bus_rate)}.items():
         assert (bank.column(register) == value).all(), register.name
     assert not bank.column(table.torque_enable).any()
     assert set_ids.verdict(set_ids.scan(line(desk)), desk.profile) == []

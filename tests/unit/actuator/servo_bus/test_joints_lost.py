@@ -160,7 +160,7 @@ def test_reconnection_succeeds_despite_packet_loss() -> None:
 
 
 def test_reconnection_finds_port_under_another_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    def open_port(url: str, timeout_ns: int) -> MemoryPort:
+    def open_port(url: str, rate: int, timeout_ns: int) -> MemoryPort:
         try:
             return rig.plug_in(int(url.removeprefix("port")))
         except OSError as error:

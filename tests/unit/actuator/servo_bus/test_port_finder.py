@@ -42,7 +42,8 @@ class ListedPorts:
         monkeypatch.setattr(usb_adapter.identity, "__defaults__", (lambda: self.adapters,))
         monkeypatch.setattr(usb_adapter.renamed_devices, "__defaults__", (lambda: self.adapters,))
 
-    def open(self, url: str, timeout_ns: int) -> str:
+    def open(self, url: str, rate: int, timeout_ns: int) -> str:
+        assert rate == 1_000_000
         assert timeout_ns == servo_interface.read_timeout_ns(Settings())
         self.tried.append(url)
         if url not in (*self.others, *(adapter.device for adapter in self.adapters)):

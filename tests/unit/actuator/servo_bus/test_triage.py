@@ -7,6 +7,7 @@ import pytest
 from sextant.services.actuator.servo_bus import triage
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import NotAServoBusError, Problem
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.actuator.servo_bus.triage import Opener, all_rates, usual_rates
 from sextant.shared.servo.models import MODEL_NAMED, MODELS
 from sextant.shared.servo.servo_model import ServoModel
@@ -18,7 +19,7 @@ AX_12A = MODEL_NAMED["AX-12A"]
 
 def opener(desk: Desk) -> Opener:
     def at(rate: int, model: ServoModel) -> ServoBus:
-        return ServoBus(desk.open(rate), [1, 2, 3], desk.clock, model=model)
+        return bus_of(model)(desk.open(rate), [1, 2, 3], desk.clock, model=model)
 
     return Opener(at, "/dev/ttyUSB0", has_rates=True)
 
@@ -29,7 +30,7 @@ def examined(
     return triage.examine(opener(desk), model, [1, 2, 3], rates(model))
 
 
-@pytest.mark.parametrize("name", ["AX-12A", "MX-28", "XL430-W250", "STS3215"])
+@pytest.mark.parametrize("name", ["AX-12A", "MX-28", "XL430-W250", "STS3215", "LX-16A"])
 def test_own_servos_need_no_triage(name: str) -> None:
     assert examined(Desk(robot_with(name)), MODEL_NAMED[name]) is None
 
@@ -56,7 +57,8 @@ def test_silent_port_names_rates_and_protocols_once() -> None:
     found = examined(desk)
     assert found is not None
     assert found.words == (
-        "no servo answers on /dev/ttyUSB0 as AX-12A at 1000000, 57143 baud, nor another servo in Dynamixel Protocol 2.0"
+        "no servo answers on /dev/ttyUSB0 as AX-12A at 1000000, 57143 baud, "
+        "nor another servo in LewanSoul or Dynamixel Protocol 2.0"
     )
     assert "--all-rates" in found.advice
     every = examined(desk, rates=all_rates)
@@ -81,7 +83,7 @@ def test_another_device_is_shown_by_its_text(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 def test_rates_begin_with_that_of_the_robot_and_reach_different_servos(model: ServoModel) -> None:
     usual, every = usual_rates(model), all_rates(model)
-    assert usual[0] == 1_000_000
+    assert usual[0] == model.bus_rate
     assert every[: len(usual)] == usual
     assert set(every) <= {*model.rates.values(), 57_143}
     assert all(abs(one - other) > 0.03 * other for one in every for other in every if one != other)

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, ServoBus
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
@@ -37,7 +38,7 @@ class _FaultyBench(Bench):
     def connect(self) -> None:
         """Open the port."""
         self.port = MemoryPort(self.faults, lambda: self.now_ns, start_ns=self.now_ns)
-        self.bus = ServoBus(self.port, self.ids, self.port.now_ns, model=self.model, echo=self.echo)
+        self.bus = bus_of(self.model)(self.port, self.ids, self.port.now_ns, model=self.model, echo=self.echo)
 
     def cycle(self, q: np.ndarray) -> list[Any]:
         """Write goals and read the servos; without a port, try to open it again."""
