@@ -20,7 +20,6 @@ from sextant.services.planner.robot_estimate import RobotEstimate
 from sextant.services.planner.terrain import Terrain, plane_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
-from sextant.shared.servo.servo_model import Feedback
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, Goal, Message, Mode, PlannerStatus, VelocityCommand
 
@@ -63,7 +62,6 @@ class Planner:
         self.stages = Stages()
         self._settings = settings
         self._foot_radius_m = profile.foot.radius
-        self._has_touch = Feedback.POSITION in profile.servo_model.feedback
         self._missing_ground = MissingGround()
         self._plans = PlanTracker(profile.foot.radius)
         self._steps = StepSelector(profile, settings, self._plans, self.stages)
@@ -143,7 +141,7 @@ class Planner:
             self._plans.refusals.forget()
             return Decision("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
         if command is not None and command.blind_walking:
-            if not self._has_touch:
+            if not self._steps.has_touch:
                 return Decision("blocked", "by touch: the servos of this robot measure nothing", invalid_command=True)
             known = inbox.latest(topics.BODY_POSE)
             if known is None:

@@ -16,6 +16,7 @@ from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep
 from sextant.services.planner.terrain import DEEP, Terrain, plane_of, plane_through
 from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo.servo_model import Feedback
 from sextant.shared.wire.messages import VelocityCommand
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] depths below the plane for a touchdown; the first within reach is used
@@ -27,6 +28,7 @@ class BlindStepPlanner:
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Initialize for a robot."""
         self._profile = profile
+        self.has_touch = Feedback.POSITION in profile.servo_model.feedback  # else feet stand where the ground is expected
         self._params = params = settings.blind_walking
         self._max_lean_deg, self._blind_radius_m = settings.step.max_lean_deg, settings.costmap.blind_radius_m
         front, middle, rear = (params.width_ratio * radius for radius in profile.stance.foot_radius_from_coxa)
@@ -103,7 +105,8 @@ class BlindStepPlanner:
         if isinstance(found, NoStep) or not found.swing.any():
             return found, way
         begin = next(at for at in situations if (at.swing == found.swing).all())
-        return self._lowered(self._along(found, begin)), way
+        stride = self._along(found, begin)
+        return self._lowered(stride) if self.has_touch else stride, way
 
     def _along(self, stride: PlannedStep, at: StepStart) -> PlannedStep:
         """Return the step with the body parallel to the feet, averaged over a few steps.

@@ -51,6 +51,11 @@ class StepSelector:
         self._posture = np.zeros((2, 3))  # the posture for which the refusals were collected
         self._start_place: Array | None = None  # (2,) [m] {world} where the robot stood before its first step
 
+    @property
+    def has_touch(self) -> bool:
+        """Whether the feet of the robot feel the ground."""
+        return self._by_touch.has_touch
+
     def validation_error(self, command: VelocityCommand) -> str:
         """Return why this robot can never execute a command, or ""."""
         return self._by_sight.validation_error(command)
@@ -208,14 +213,15 @@ class StepSelector:
         ground = self._by_touch.fill_unseen_start(terrain, feet, self._start_place, course)
         if ground is None:
             return None
+        how = "by touch" if self._by_touch.has_touch else "as on level ground"
         if not self._plans.feet_are_measured(robot.now_ns):
-            return Decision("stepping", "stopping, to walk by touch over unseen ground")
+            return Decision("stepping", f"stopping, to walk {how} over unseen ground")
         starts = self._starts(self._by_touch.asked(command), robot)
         with self._stages("plan step"):
             found, way = self._by_touch.choose(starts, ground, self._plans.refusals.of(number))
         if isinstance(found, NoStep):
             return None
-        reason = "walking by touch over unseen ground, until the feet reach seen ground"
+        reason = f"walking {how} over unseen ground, until the feet reach seen ground"
         return Decision("stepping", reason, step=self._next(robot, found, (number, way), terrain, stop=True))
 
     def _gather(self, command: VelocityCommand, robot: RobotEstimate, terrain: Terrain) -> NumberedStep | None:

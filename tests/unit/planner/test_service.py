@@ -892,6 +892,15 @@ def partly_unseen_map(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> Terr
     return terrain_of(height, height, half=2.0).map
 
 
+def test_without_touch_unseen_start_counts_as_level_ground(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig()
+    monkeypatch.setattr(rig.planner._steps._by_touch, "has_touch", False)
+    rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
+    plan = rig.plans(15)[-1]
+    np.testing.assert_allclose(plan.touchdown[:, 2], PROFILE.foot.radius, atol=1e-6)
+    assert "as on level ground" in rig.status().reason
+
+
 @pytest.mark.campaign
 def test_robot_leaves_unseen_start_by_blind_walking_onto_seen_ground() -> None:
     rig = Rig()
