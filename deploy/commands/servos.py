@@ -284,6 +284,8 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
 
     profile = _profile(bus.robot)
     if profile.servo.pulses is not None:
+        if torque == "on":
+            raise InputError("--torque off expected: hobby servos jump when torque is turned on, so it is off after the test")
         return pulse_servos.test(bus.port, profile, Terminal(yes), legs or LEGS)
     hold = torque == "on" if torque else (False if yes else None)
     with _line(bus, profile) as line:

@@ -131,6 +131,19 @@ def test_a_board_that_restarts_gives_no_torque_by_itself(board: Board) -> None:
 
 
 @pytest.mark.parametrize("board", BOARDS)
+def test_torque_ordered_while_the_port_is_gone_stays_off_until_it_is_ordered_again(board: Board) -> None:
+    walk = Walk(board)
+    walk.run.run(2 * S)
+    walk.order("off", 1.0)
+    walk.simulator.inject(BusFault("bus", "gone", 0.0, 1.0))
+    walk.run.run(walk.run.now_ns() + S // 4)
+    walk.order("ready", 4.0)
+    assert walk.torque == 0
+    walk.order("ready", 4.0)
+    assert walk.torque == 18
+
+
+@pytest.mark.parametrize("board", BOARDS)
 @pytest.mark.parametrize("kind", ["silent", "gone", "intermittent", "garbage"])
 def test_a_board_that_is_away_stops_the_walk_and_it_goes_on_afterwards(board: Board, kind: str) -> None:
     walk = Walk(board)
@@ -138,6 +151,9 @@ def test_a_board_that_is_away_stops_the_walk_and_it_goes_on_afterwards(board: Bo
     walk.run.run(6 * S + S * 4 // 5)
     assert walk.state.mode is Mode.FAULT
     assert walk.torque == 18
+    walk.run.run(9 * S)
+    x = walk.truth.T_world_body[0, 3]
     walk.run.run(12 * S)
     assert walk.state.mode is Mode.WALK
+    assert walk.truth.T_world_body[0, 3] > x + 0.1
     assert min(one.T_world_body[2, 2] for one in walk.heard.of(topics.TRUTH)) > 0.98

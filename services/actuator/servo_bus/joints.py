@@ -241,7 +241,7 @@ class Joints:
         """
         self._off_ordered = False
         if self._assumed is not None:  # torque may have been lost since it was last read, and the joints with it
-            self.torque = np.array([bool(self._bus.read(i, self._table.torque_enable)) for i in self._bus.servo_ids])
+            self._call_bus(self._read_torque)
             self.q = np.where(self.torque.reshape(6, 3), self.q, self._assumed.sit_pose)
         weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
         restored = (~self.torque | weak).reshape(6, 3)
@@ -357,6 +357,10 @@ class Joints:
             self.strength[index] = 1.0
         elif self._bus.model.recovery is Recovery.REBOOT:
             self.torque[index] = False
+
+    def _read_torque(self) -> None:
+        """Read Torque Enable of all servos; one that does not answer has none."""
+        self.torque = np.array([bool(self._bus.read(i, self._table.torque_enable)) for i in self._bus.servo_ids])
 
     def _may_pull(self) -> bool:
         """Return whether no order keeps torque off."""

@@ -25,6 +25,7 @@ _PER_LEG = 3  # servos that get their first pulses together
 _REPEATS = 2  # of requests that find a channel without its pulses: a byte of the answer may be broken
 _SAME_US = 5.0  # [us] difference of ordered pulses and those that the board reports, which a count of a PCA9685 explains
 _OTHER = "other pulses than ordered"
+_LONGEST_NS = 100_000_000  # [ns] between two goals for which a speed limit is integrated
 _LONG_AGO_NS = -(10**18)
 _SILENT_NS = 100_000_000  # [ns] without an answer of the board after which it counts as silent
 
@@ -57,7 +58,6 @@ class PwmServos:
         self._ordered_us: dict[int, float] = {}  # channel -> newest pulses [us]
         self._next = 0  # channel to ask for next
         self._answered_ns = -1  # [ns] newest answer of the board
-        self._asked_ns = clock()
         self._unanswered = 0  # consecutive requests in the loop
 
     def __len__(self) -> int:
@@ -116,11 +116,12 @@ class PwmServos:
 
     # ----------------------------------------------------------------------------------------------- outside the loop
 
-    def open_session(self) -> None:
-        """Do nothing: a board has no session."""
-
     def setup(self) -> None:
-        """Check that the board answers, and adopt the pulses that it sends.
+        """Open a session; there is nothing else to check or to configure."""
+        self.open_session()
+
+    def open_session(self) -> None:
+        """Check that the board answers on a newly opened port, and adopt the pulses that it sends.
 
         Raises:
             BusSetupError: It does not answer, or sends other pulses than those of the profile.
@@ -209,7 +210,8 @@ class PwmServos:
         speeds = np.broadcast_to(whole(speed_ticks, self.model.table.goal_speed, len(self)), (len(self),))
         now_ns = self._clock()
         self._goals[:] = np.minimum(goals, self.model.units.max_position)
-        most = np.where(speeds > 0, speeds * SPEED_TICKS_S * (now_ns - self._sent_ns) * 1e-9, np.inf)
+        since_s = min(now_ns - self._sent_ns, _LONGEST_NS) * 1e-9
+        most = np.where(speeds > 0, speeds * SPEED_TICKS_S * since_s, np.inf)
         ways = self._goals - self._sent
         self._sent = np.where(self._enabled, self._sent + np.clip(ways, -most, most), self._goals)
         self._sent_ns = now_ns
@@ -223,8 +225,9 @@ class PwmServos:
             for _ in range(2):  # it is not acknowledged
                 self._board.end_pulses(self.servo_ids)
             return
-        if self._lost_pulses and not self._board.open(self.servo_ids):
-            self._lost_pulses = 0
+        if self._lost_pulses and self._board.open(self.servo_ids):  # it does not answer
+            return
+        self._lost_pulses = 0
         off = np.flatnonzero(~self._enabled)
         legs = off // _PER_LEG
         turn = np.searchsorted(np.unique(legs), legs)
@@ -238,8 +241,8 @@ class PwmServos:
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Ask the board for the pulses of one channel, in turn; return no readings, because servos give none.
 
-        A board that has restarted sends no pulses. Then all torque stays off until it is ordered, because goals would turn it
-        on by themselves.
+        A board that has restarted sends no pulses. Then the torque of its servos stays off until it is ordered, because goals
+        would turn it on by themselves.
 
         Raises:
             BusDisconnectedError: The port is gone.

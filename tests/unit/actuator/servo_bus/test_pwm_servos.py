@@ -24,10 +24,10 @@ BOARDS: tuple[Board, ...] = ("maestro", "pca9685")
 class Rig:
     """18 servos at a board in memory, in virtual time."""
 
-    def __init__(self, board: Board, torque: bool = False, spread: bool = False) -> None:
+    def __init__(self, board: Board, torque: bool = False, spread: bool = False, device: int = 0) -> None:
         profile = load_profile("printed_ds3218")
         assert profile.servo.pulses is not None
-        pulses = replace(profile.servo.pulses, board=board)
+        pulses = replace(profile.servo.pulses, board=board, device=device)
         channels = (*range(9), *range(16, 25)) if spread else tuple(range(18))
         self.bank = make_servo_bank(replace(profile.servo, pulses=pulses), channels, np.zeros(18))
         self.bank.column(TABLE.torque_enable)[:] = torque
@@ -89,6 +89,24 @@ def test_goals_become_pulses_within_two_periods(board: Board, spread: bool) -> N
     goals = CENTRE + 50 * np.arange(18)
     rig.cycle(goals, count=2)
     np.testing.assert_allclose(rig.goals, goals, atol=10)
+
+
+@pytest.mark.parametrize(("board", "device"), [("maestro", 12), ("maestro", 30), ("pca9685", 0x42)])
+def test_boards_with_other_numbers_are_driven(board: Board, device: int) -> None:
+    rig = Rig(board, torque=True, device=device)
+    rig.servos.setup()
+    rig.cycle(CENTRE - 200, count=2)
+    np.testing.assert_allclose(rig.goals, CENTRE - 200, atol=10)
+    assert not rig.servos.lost
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_a_new_session_adopts_the_pulses(board: Board) -> None:
+    rig = Rig(board, torque=True)
+    rig.servos.open_session()
+    rig.cycle(CENTRE, count=2)
+    np.testing.assert_allclose(rig.goals, CENTRE, atol=10)
+    assert all(rig.torque)
 
 
 @pytest.mark.parametrize("board", BOARDS)
