@@ -228,15 +228,14 @@ class Firmware:
         if refusal == wire.NONE:
             self._questions.append([sequence] + question)
         else:
-            self._refuse(refusal)
-            self._to_host += wire.answer(self._session, sequence, wire.REFUSED, 0, b"")
+            self._refuse_question(sequence, refusal)
+
+    def _refuse_question(self, sequence: int, why: int) -> None:
+        self._refuse(why)
+        self._to_host += wire.answer(self._session, sequence, wire.REFUSED, 0, b"")
 
     def _objection(self, question: list) -> int:
-        """Return why a request may not be sent to a servo, NONE if it may.
-
-        A write must not turn torque on, except that of one servo near its goal while torque is ordered on: this ends the
-        shutdown of some servos.
-        """
+        """Return why a request may not be sent to a servo, NONE if it may."""
         servo_id, instruction, address, size, data = question
         if instruction == wire.READ:
             valid = size and not data and address + size <= self._model.size
@@ -247,17 +246,22 @@ class Firmware:
             valid = known and not address and not size and not data
         if not valid:
             return wire.QUESTION
-        at = self._model.torque_enable - address
-        if instruction == wire.WRITE and 0 <= at < len(data) and data[at]:
-            index = [servo.servo_id for servo in self._servos].index(servo_id) if self._drives(servo_id) else -1
-            if len(data) > 1 or self.mode != wire.ON or index < 0:
-                return wire.QUESTION
-            if not self._is_near(index):
-                return wire.FAR
-        return wire.NONE if len(self._questions) < QUESTIONS else wire.BUSY
+        refusal = self._torque_objection(question)
+        return wire.BUSY if refusal == wire.NONE and len(self._questions) >= QUESTIONS else refusal
 
-    def _drives(self, servo_id: int) -> bool:
-        return any(servo.servo_id == servo_id for servo in self._servos)
+    def _torque_objection(self, question: list) -> int:
+        """Return why a request may not turn torque on, NONE if it may or does not.
+
+        It may do so for one servo near its goal while torque is ordered on: this ends the shutdown of some servos.
+        """
+        servo_id, instruction, address, _, data = question
+        at = self._model.torque_enable - address
+        if instruction != wire.WRITE or not 0 <= at < len(data) or not data[at]:
+            return wire.NONE
+        indices = [index for index, servo in enumerate(self._servos) if servo.servo_id == servo_id]
+        if data != b"\1" or self.mode != wire.ON or not indices:
+            return wire.QUESTION
+        return wire.NONE if self._is_near(indices[0]) else wire.FAR
 
     def _refuse(self, why: int) -> bool:
         self._refusal, self._refused = why, (self._refused + 1) & _COUNT
@@ -328,8 +332,12 @@ class Firmware:
             rows = [model.limit(share) for share in self._limits]
             self._limits = None
             return self._bus.tell(self._for_all(model.limit_address, model.limit_size, rows), self._now_us)
-        if self._questions:
-            return self._ask_question(self._questions.pop(0))
+        while self._questions:
+            question = self._questions.pop(0)
+            refusal = self._torque_objection(question[1:])  # again: torque off may have been ordered since
+            if refusal == wire.NONE:
+                return self._ask_question(question)
+            self._refuse_question(question[0], refusal)
         if self._to_read:
             servo, kind, _ = self._to_read[0]
             address, size = self._block(kind)

@@ -8,9 +8,10 @@ from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
-from sextant.shared.servo.bridge_protocol import Mode
+from sextant.shared.servo.bridge_protocol import Instruction, Mode
 from sextant.shared.servo.models import AX_12A, MX_28, STS3215, XL430_W250, XM430_W350
 from sextant.shared.servo.servo_model import Register, ServoError, ServoModel
 
@@ -124,3 +125,39 @@ def test_shutdown_is_reported_and_ends_behind_the_bridge(model: ServoModel) -> N
     rig.cycle(30, rig.here)
     assert not rig.bank.shutdown.any()
     assert rig.driver.errors.tolist() == [0, 0, 0]
+
+
+@EACH
+def test_one_servo_gets_torque_only_while_torque_is_ordered_on(model: ServoModel) -> None:
+    rig = Rig(model).walking()
+    enable = model.table.torque_enable
+    rig.put(1, enable, 0)
+    assert rig.driver.write(IDS[1], enable, 1)
+    rig.cycle(1, rig.here)
+    assert rig.get(enable) == [1, 1, 1]
+    rig.q[2] = 0.4  # far from its goal
+    rig.cycle(2, np.array([rig.here[0], rig.here[1], model.units.ticks(0.0)]))
+    assert not rig.driver.write(IDS[2], enable, 1)
+    rig.q[2] = 0.0
+    rig.cycle(2, rig.here)
+    sent: list[bytes] = []
+    write = rig.port.write
+    rig.port.write = lambda data, /: sent.append(data) or len(data)  # type: ignore[method-assign,func-returns-value]
+    for _ in range(3):
+        rig.driver.ask(IDS[1], Instruction.WRITE, enable.address, 0, b"\1")
+    rig.driver.set_torque(False)
+    rig.port.write = write  # type: ignore[method-assign]
+    heard: list[bytes] = []
+    receive = rig.board._bus.receive
+
+    def overheard(data: bytes, now_ns: int) -> list[Reply]:
+        heard.append(data)
+        return receive(data, now_ns)
+
+    rig.board._bus.receive = overheard  # type: ignore[method-assign]
+    write(b"".join(sent))
+    rig.cycle(2)
+    off = model.protocol.write(model.protocol.BROADCAST_ID, enable.address, b"\0")
+    behind = heard[heard.index(off) :]
+    assert model.protocol.write(IDS[1], enable.address, b"\1") not in behind, "no request that waited turns torque on again"
+    assert rig.get(enable) == [0, 0, 0]
