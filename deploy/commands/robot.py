@@ -157,7 +157,7 @@ class _Measured:
 @options_of(
     _Measured, "measured", *(option(f"--{name}", about, "X", type=kind) for name, (about, kind, _) in _QUESTIONS.items())
 )
-@option("--servo", "model of the servos", "MODEL", default="AX-12A")
+@option("--servo", "model of the servos, by its name in docs/servos.md", "MODEL", default="AX-12A")
 def new(out: str, measured: _Measured, servo: str) -> int:
     """Write a profile from a few measures, and check it.
 
@@ -168,11 +168,11 @@ def new(out: str, measured: _Measured, servo: str) -> int:
     from sextant.evaluation.robot_check.slowed_robot import slow_down
     from sextant.shared.robot.new_profile import Measures, new_profile
     from sextant.shared.robot.profile_text import require_new_file, write_new_profile
+    from sextant.shared.robot.servo_proposal import unknown_model
     from sextant.shared.servo.models import MODEL_NAMED
-    from sextant.shared.spelling import hint
 
     if servo not in MODEL_NAMED:
-        raise InputError(f"--servo: no servo model {servo!r}; {hint(servo, list(MODEL_NAMED))}")
+        raise InputError(f"--servo: {unknown_model(servo)}")
     require_new_file(Path(out))
     given = {name: _asked(name) if measure is None else measure for name, measure in asdict(measured).items()}
     made = slow_down(new_profile(Path(out).stem, Measures(**given, servo=servo)))

@@ -79,12 +79,13 @@ class Terminal:
 
     def ask(self, question: str) -> str:
         """Ask a question and return the typed answer; empty with `yes`."""
+        if not self._yes:
+            _forget_typed_ahead()  # before the question, so that an answer to it counts at once
         sys.stdout.write(question)
         if self._yes:
             say("")
             return ""
         sys.stdout.flush()
-        _forget_typed_ahead()
         line = sys.stdin.readline()
         if not line:
             raise InputError("an answer expected, found the end of the input; in a script, give --yes to calibrate and test")
@@ -295,7 +296,10 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
     if moved is None:
         return FAILED
     wrong = [one.name for one in moved if one.problem]
-    after = "" if legs else f"; next, on a flat floor: `sextant camera calibrate --robot {bus.robot}`"
+    command = f"camera calibrate --robot {bus.robot}"
+    if profile.camera.device == "none":
+        command = f"up onboard --robot {bus.robot} --set actuator.port={bus.port}"
+    after = "" if legs else f"; next, on a flat floor: `sextant {command}`"
     after = f"; not: {', '.join(wrong)}" if wrong else after
     say(f"{len(moved) - len(wrong)} of {len(moved)} joints are in order{after}")
     return FAILED if wrong else SUCCESS

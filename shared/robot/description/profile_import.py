@@ -26,7 +26,7 @@ from sextant.shared.robot.description.robot_description import DescribedJoint, D
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profile import JOINTS, LEGS, Body, Camera, Foot, Leg, LegLinks, RobotProfile, Servo
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
-from sextant.shared.robot.servo_proposal import nearest_servo, proposed_battery, proposed_servo
+from sextant.shared.robot.servo_proposal import nearest_servo, proposed_battery, proposed_servo, unknown_model
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.spelling import hint
 
@@ -205,7 +205,7 @@ def _servo(joints: Sequence[DescribedJoint], model: str | None, notes: list[str]
             notes.append(f"no servo has {max(values):g} {unit}: the value of the servo model is used")
     torque = round(float(np.median(torques)), _OTHER_DIGITS) if torques else None
     if model is not None and model not in MODEL_NAMED:
-        raise DescriptionError(f"no servo model {model!r}; {hint(model, list(MODEL_NAMED))}")
+        raise DescriptionError(unknown_model(model))
     servo = proposed_servo(model or nearest_servo(torque), torque)
     if torque is None:
         notes.append(f"the description states no torque: that of {servo.model} at its usual voltage is used")

@@ -147,6 +147,7 @@ def test_new_robot_that_is_too_heavy_fails_the_check(tmp_path: Path, capsys: pyt
         (["--out", "new.toml"], "an answer expected, found the end of the input; in a script, give --coxa"),
         (["--out", "new.toml", "--coxa", "52"], "--coxa: a length in metres from 0.005 to 0.5 expected, found '52'"),
         (["--out", "new.toml", "--servo", "AX12A"], "--servo: no servo model 'AX12A'; did you mean 'AX-12A'?"),
+        (["--out", "new.toml", "--servo", "XM430-W210"], "state the numbers that differ: docs/servos.md"),
         ([], "--out expected, found none"),
     ],
 )

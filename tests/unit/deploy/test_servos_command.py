@@ -184,13 +184,19 @@ def test_calibration_is_written_to_profile_or_out_file(
 
 
 def test_complete_joint_test_names_the_next_step(
-    url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good = SimpleNamespace(name="", problem="")
     monkeypatch.setattr(joint_test, "run_joint_test", lambda *_, **__: [good] * 18)
-    assert cli.main(["servos", "test", "--port", url, "--yes"]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last == "18 of 18 joints are in order; next, on a flat floor: `sextant camera calibrate --robot phantomx_mk2`"
+    blind = tmp_path / "blind.toml"
+    blind.write_text('extends = "phantomx_mk2"\n[camera]\ndevice = "none"\n', encoding="utf-8")
+    for robot, command in (
+        ("phantomx_mk2", "camera calibrate --robot phantomx_mk2"),
+        (f"{blind}", f"up onboard --robot {blind} --set actuator.port={url}"),
+    ):
+        assert cli.main(["servos", "test", "--port", url, "--yes", "--robot", robot]) == 0
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert last == f"18 of 18 joints are in order; next, on a flat floor: `sextant {command}`"
 
 
 @pytest.mark.slow

@@ -32,3 +32,6 @@ def test_proposed_servos_are_those_of_the_shipped_profiles() -> None:
             assert getattr(proposed, value) == getattr(servo, value)
         assert (proposed.stiffness, proposed.no_load_speed) == pytest.approx((servo.stiffness, servo.no_load_speed), rel=0.01)
     assert nearest_servo(None) == "AX-12A"
+    printed, proposed = load_profile("printed_sts3215").servo, proposed_servo("STS3215")
+    for value in ("armature", "friction", "stall_torque", "position_gain", "stiffness"):
+        assert getattr(proposed, value) == getattr(printed, value)
