@@ -127,7 +127,7 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
     """Return a table of the servos, one per line; "?" follows the joint of a servo with factory settings."""
     answering = {seen.servo_id: seen for _, seen in found}
     unassigned = is_unassigned(answering, profile.servo_names, profile.servo_model)
-    lines = [f"{'id':>3}  {'baud':>7}  {'model':<8} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
+    lines = [f"{'id':>3}  {'baud':>7}  {'model':<10} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
     for rate, seen in found:
         name = profile.servo_names.get(seen.servo_id, "")
         if seen.servo_id == FACTORY_ID and unassigned:
@@ -136,11 +136,11 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
             continue
         if seen.identified and seen.identified.table is not profile.servo_model.table:
-            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8}")  # its measurements are in other registers
+            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<10}")  # its measurements are in other registers
             continue
         firmware = "-" if seen.firmware is None else f"{seen.firmware}"
         measured = f"{seen.voltage:>5.1f} V  {seen.temperature:>5.0f} deg C"
-        lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {firmware:>8}  {measured}  {name}".rstrip())
+        lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<10} {firmware:>8}  {measured}  {name}".rstrip())
     return "\n".join(lines)
 
 

@@ -140,9 +140,9 @@ class ServoScan:
 
     @property
     def identified(self) -> ServoModel | None:
-        """Known model whose packets are those of the expected one, and whose number is in its own place of the table."""
+        """Expected or known model with the packets of the expected one, whose number is in its own place of the table."""
         start = self.expected.protocol.answer_start
-        alike = [one for one in MODELS if one.protocol.answer_start is start]
+        alike = [self.expected, *(one for one in MODELS if one.protocol.answer_start is start)]
         alike.sort(key=lambda one: one.table is not self.expected.table)
         return next((one for one in alike if self[one.table.model_number] == one.number), None)
 

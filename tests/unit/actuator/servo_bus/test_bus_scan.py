@@ -10,10 +10,10 @@ import pytest
 
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import BusResponse, NotAServoBusError, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import BusResponse, NotAServoBusError, ServoScan, scan_servo
 from sextant.services.simulator.servo_bus.bus import Reply
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.models import AX_12A
+from sextant.shared.servo.models import AX_12A, XM430_W350
 from tests.support.desk import Desk
 
 NAMES = Desk().profile.servo_names
@@ -219,3 +219,9 @@ def test_foreign_device_on_port_is_reported_with_its_output() -> None:
     ):
         scan_servo(bus, 1)
     assert station.now_ns < 5e9, "within seconds"
+
+
+def test_model_that_a_profile_states_by_numbers_has_its_name_in_a_scan() -> None:
+    model = replace(XM430_W350, name="XM430-W210", number=1030)
+    assert ServoScan(1, BusResponse.CLEAR, model, model.factory_table()).model == "XM430-W210"
+    assert ServoScan(1, BusResponse.CLEAR, model, XM430_W350.factory_table()).model == "XM430-W350"
