@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
+from sextant.shared.robot.new_profile import Measures, new_profile
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import load_scenario
@@ -46,3 +47,15 @@ def walk(profile: RobotProfile, terrain: str, distance: float) -> None:
     report = run.attendance.judge(1.0, in_a_hurry=True)
     assert report.success, report.reason
     assert report.falls == 0
+
+
+@pytest.mark.parametrize("name", ["STS3215", "XM430-W350"])
+def test_light_robot_with_strong_servos_feels_level_ground(name: str) -> None:
+    robot = new_profile("light", Measures(0.045, 0.08, 0.12, 0.1, 0.06, 0.09, 2.2, name))
+    flat = load_scenario("flat")
+    run = LockstepRun(replace(flat, goal=replace(flat.goal, distance=1.0)), 1000, robot)
+    while not run.attendance.over():
+        run.run(run.now_ns() + _LOOK_NS)
+    report = run.attendance.judge(1.0, in_a_hurry=True)
+    assert report.success, report.reason
+    assert report.speed_mps > 0.75 * robot.stance.max_speed

@@ -116,7 +116,7 @@ class TouchdownDetector:
             return
         servo = self._profile.servo
         acceleration_torque = self._inertia * speed_change / (since_ns * 1e-9)
-        friction = math.copysign(self._params.friction_ratio * servo.friction, speed) if speed else 0.0
+        friction = math.copysign(self._friction(leg), speed) if speed else 0.0
         motion_torque = servo.damping * speed + friction + acceleration_torque
         uncertainty = self._params.doubt_share * (
             abs(acceleration_torque) + servo.stiffness * self._goal_change_difference[leg]
@@ -135,6 +135,12 @@ class TouchdownDetector:
         known = servo.friction + servo.stiffness * tick / 2
         uncertainty = known + self._params.doubt_share * abs(accelerates)
         return math.copysign(max(abs(push) - uncertainty / arm, 0.0), push)
+
+    def _friction(self, leg: int) -> float:
+        """Return the torque [N m] to allow for dry friction: beyond the friction itself, it hides only a share of a touch."""
+        params, friction = self._params, self._profile.servo.friction
+        most = params.friction_share * params.touch_n * self._mass_ratio * self._arm[leg]
+        return friction * min(params.friction_ratio, 1.0) + min(max(params.friction_ratio - 1.0, 0.0) * friction, most)
 
     def _load_at_balance(self, leg: int, femur: FemurReading) -> float:
         """Return a femur's motor torque [N m] when the torque balance holds.
