@@ -22,6 +22,18 @@ def test_initial_mode_and_reason_follow_servo_torque(torque: bool) -> None:
     assert guard.lease(0) == ""
 
 
+def test_robot_that_does_not_know_its_pose_is_laid_down_and_made_ready_before_it_stands() -> None:
+    robot = in_mode(Mode.OFF)
+    robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, knows_pose=False)
+    assert "lay the robot on its belly" in robot.guard.reason
+    now_ns = robot.now + 1
+    assert robot.guard.handle_order(ModeCommand(now_ns, "stand", now_ns), now_ns) == ()
+    assert robot.mode is Mode.OFF
+    assert "lay the robot on its belly" in robot.guard.objection
+    assert robot.guard.handle_order(ModeCommand(now_ns, "ready", now_ns + 1), now_ns + 1) == (Act.TORQUE_ON,)
+    assert robot.guard.handle_order(ModeCommand(now_ns, "stand", now_ns + 2), now_ns + 2) == (Act.RISE,)
+
+
 @pytest.mark.parametrize("torque", [True, False])
 def test_plan_without_any_order_is_refused(torque: bool) -> None:
     robot = in_mode(Mode.HOLD if torque else Mode.OFF)
