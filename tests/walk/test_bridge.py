@@ -30,13 +30,14 @@ terrain = [{ kind = "plane" }]
 """
 
 
-def test_walk_through_mcu_bridge_matches_walk_on_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("robot", ["phantomx_mk2", "printed_sts3215"])
+def test_walk_through_mcu_bridge_matches_walk_on_bus(robot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     course = tmp_path / "level.toml"
     course.write_text(COURSE, encoding="utf-8")
     reports = []
     for ways in ([], ["--bridge"]):
         command = ["run", str(course), "--lockstep", "--seed", "1001", "--json", "--out", str(tmp_path / f"out{len(ways)}")]
-        assert cli.main([*command, *ways]) == 0
+        assert cli.main([*command, "--robot", robot, *ways]) == 0
         reports.append(json.loads(capsys.readouterr().out))
     direct, bridged = reports
     assert direct != bridged, "it went another way"

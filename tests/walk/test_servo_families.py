@@ -32,15 +32,29 @@ def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> No
     walk(robot_with(name), terrain, distance)
 
 
+@pytest.mark.parametrize(
+    ("name", "terrain", "distance"),
+    [
+        ("XL430-W250", "flat", 0.4),
+        *(
+            pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.campaign)
+            for name in ("AX-12A", "MX-28", "XL430-W250", "STS3215")  # XL-320 and XM430-W350 fail: docs/firmware.md
+        ),
+    ],
+)
+def test_robot_walks_with_a_microcontroller_between(name: str, terrain: str, distance: float) -> None:
+    walk(robot_with(name), terrain, distance, bridge=True)
+
+
 @pytest.mark.campaign
 def test_robot_with_command_servos_walks_over_steps() -> None:
     walk(load_profile("jethexa_hx35h"), "steps", load_scenario("steps").goal.distance)
 
 
-def walk(profile: RobotProfile, terrain: str, distance: float) -> None:
+def walk(profile: RobotProfile, terrain: str, distance: float, bridge: bool = False) -> None:
     """Walk to the goal."""
     scenario = load_scenario(terrain)
-    scenario = replace(scenario, goal=replace(scenario.goal, distance=distance))
+    scenario = replace(scenario, goal=replace(scenario.goal, distance=distance), bridge=bridge)
     run = LockstepRun(scenario, 1000, profile)
     while not run.attendance.over():
         run.run(run.now_ns() + _LOOK_NS)
