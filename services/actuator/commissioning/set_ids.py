@@ -31,7 +31,8 @@ from sextant.shared.servo.servo_model import ServoModel
 
 _LEAVE = "q"
 _NO_ANSWER_ADVICE = (
-    "check their power and the cable at the adapter, or try --echo; a bridge does not pass scans on, see docs/bridge.md"
+    "check their power and the cable at the adapter, or try with --echo, or without; a bridge does not pass scans on, see "
+    "docs/bridge.md"
 )
 _UNLESS_MEANT = f"if this is not intended, {SET_ID} and type its leg and joint to restore safe values"
 
@@ -431,5 +432,5 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
         what = f"it did not accept {', '.join(refused)}" if refused else "it does not answer at its new id"
         operator.say(f"setting {named(target, profile.servo_names)}: {what}; switch its power off and on, then try again")
         return None
-    operator.say(f"{named(target, profile.servo_names)} is set and verified: {given.seen.model}, {given.seen.voltage:.1f} V")
+    operator.say(f"{named(target, profile.servo_names)} is set and verified: {wanted.name}, {given.seen.voltage:.1f} V")
     return given

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
+from functools import partial
 from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus import usb_adapter
@@ -78,8 +79,14 @@ def _other_families(model: ServoModel) -> tuple[ServoModel, ...]:
 
 def _of_other_family(bus: ServoBus, servo_id: int, rate: int, model: ServoModel) -> Problem:
     """Return the problem of a servo that answers in another protocol."""
-    number = retry(lambda: bus.read(servo_id, bus.model.table.model_number))
-    name = next((one.name for one in MODELS if one.number == number), f"a servo of model {number}")
+    alike = [one for one in MODELS if one.protocol.answer_start is bus.model.protocol.answer_start]
+    tell = [one for one in alike if one.has(one.table.model_number)]
+    numbers = {
+        register: retry(partial(bus.read, servo_id, register))
+        for register in dict.fromkeys(one.table.model_number for one in tell)
+    }
+    unknown = f"a servo of model {next(iter(numbers.values()))}" if numbers else " or ".join(one.name for one in alike)
+    name = next((one.name for one in tell if numbers[one.table.model_number] == one.number), unknown)
     words = f"servo {servo_id} is {name} ({bus.model.protocol.NAME}) at {rate} baud, {model.name} expected"
     return Problem(words, f"give the profile of this robot with --robot; in a profile of yours, set servo.model to {name}")
 
@@ -93,6 +100,6 @@ def _silence(opener: Opener, model: ServoModel, rates: Sequence[int]) -> Problem
     more = "; --all-rates asks at all rates of these servos" if opener.has_rates and set(all_rates(model)) - set(rates) else ""
     return Problem(
         f"no servo answers on {opener.name} as {model.name}{at}, nor another servo in {' or '.join(names)}{adapter}",
-        f"check the power of the servos and the cable at the adapter, or try --echo{more}; a bridge does not pass scans on, "
-        "see docs/bridge.md",
+        f"check the power of the servos and the cable at the adapter, or try with --echo, or without{more}; "
+        "a bridge does not pass scans on, see docs/bridge.md",
     )
