@@ -8,7 +8,7 @@ from datetime import date
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.limited_motion import hold, limited_motion, ready, resting
+from sextant.services.actuator.commissioning.limited_motion import hold, limited_motion, ready, resting, torque_words
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
@@ -129,13 +129,14 @@ def _measure_leg(
 
 def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
     """Return the operator's choice; hold the leg gently while it is checked."""
-    question = (
-        "Enter keeps the trims, b bends the leg again, h holds it with little torque for a check, s skips the leg, q stops: "
-    )
+    torque = torque_words(bus.model)
+    question = f"Enter keeps the trims, b bends the leg again, h holds it with {torque} for a check, s skips the leg, q stops: "
     while (answer := _choice(operator, question, (_KEEP, _AGAIN, _CHECK, _SKIP, _LEAVE))) == _CHECK:
         with limited_motion(bus, ids):
             hold(bus, ids)
-            operator.ask("the leg is held with little torque; check it with a ruler, then press Enter to turn torque off: ")
+            operator.ask(
+                f"the leg is held with {torque.rstrip(',')}; check it with a ruler, then press Enter to turn torque off: "
+            )
     return answer
 
 

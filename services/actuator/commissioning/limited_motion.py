@@ -15,7 +15,7 @@ from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo.servo_model import Register
+from sextant.shared.servo.servo_model import Register, ServoModel
 
 TORQUE_SHARE = 0.3  # [1] of the stall torque; it lifts a leg in the air, and a finger can stop it
 _SPEED_RAD_S = np.radians(20.0)
@@ -62,6 +62,11 @@ def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -
     for one in holding:
         put(bus, one.servo_id, bus.model.table.torque_enable, 0)
     return True
+
+
+def torque_words(model: ServoModel) -> str:
+    """Return how much torque servos of a model have in a gentle motion, as "little torque"."""
+    return "little torque" if model.has(model.table.torque_limit) else "its full torque, which these servos cannot limit,"
 
 
 @contextmanager

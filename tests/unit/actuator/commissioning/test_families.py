@@ -8,6 +8,7 @@ import pytest
 from sextant.services.actuator.commissioning import set_ids
 from sextant.services.actuator.commissioning.calibration import calibrate
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
+from sextant.services.actuator.commissioning.limited_motion import torque_words
 from sextant.services.actuator.commissioning.set_ids import Line
 from sextant.services.actuator.commissioning.torque_off import torque_off
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
@@ -132,3 +133,8 @@ def test_joints_of_a_leg_move_and_return(name: str) -> None:
     assert [one.problem for one in moved] == ["", "", ""]
     assert all(abs(one.moved_deg) == pytest.approx(STEP_DEG, abs=0.6) for one in moved)
     assert torque_off(desk.bus()) == {}
+
+
+def test_words_do_not_promise_a_torque_limit_that_servos_lack() -> None:
+    assert torque_words(robot_with("STS3215").servo_model) == "little torque"
+    assert "full torque" in torque_words(robot_with("LX-16A").servo_model)
