@@ -20,6 +20,7 @@ from sextant.deploy.commands.facts import doctor
 from sextant.deploy.commands.fleet import fleet
 from sextant.deploy.commands.keys import keys
 from sextant.deploy.commands.order import order
+from sextant.deploy.commands.plan import plan
 from sextant.deploy.commands.plots import plot
 from sextant.deploy.commands.recordings import record, recording
 from sextant.deploy.commands.robot import robot
@@ -94,7 +95,7 @@ click.option("--version", is_flag=True, is_eager=True, expose_value=False, callb
     sextant
 )
 for _command in (
-    *(demo, run, trials, table, up, fleet, order, drive, record, video, plot),
+    *(demo, run, trials, table, up, fleet, order, drive, plan, record, video, plot),
     *(keys, recording, service, topics, robot, servos, camera, doctor),
     *(_moved_to_benchmarks(name, new) for name, new in _TO_BENCHMARKS.items()),
 ):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from sextant.client import ClientError as ClientError
     from sextant.client import Status as Status
     from sextant.evaluation.lockstep.lockstep_run import run_lockstep as run_lockstep
+    from sextant.evaluation.map_plan.map_walk import plan_on_map as plan_on_map
     from sextant.evaluation.replay.tum_recording import record_tum as record_tum
     from sextant.evaluation.trials.trials import run_trials as run_trials
     from sextant.services.mapper.elevation.elevation_grid import ElevationGrid as ElevationGrid
@@ -45,6 +46,7 @@ _HOMES = {
     "ClientError": "sextant.client",
     "Status": "sextant.client",
     "run_lockstep": "sextant.evaluation.lockstep.lockstep_run",
+    "plan_on_map": "sextant.evaluation.map_plan.map_walk",
     "record_tum": "sextant.evaluation.replay.tum_recording",
     "run_trials": "sextant.evaluation.trials.trials",
     "ElevationGrid": "sextant.services.mapper.elevation.elevation_grid",

@@ -63,6 +63,7 @@ RUN_BY = {
     "recording replay FILE": "tests/unit/evaluation/replay/test_replay.py::test_replay_command_accepts_recording_or_its_folder",
     "record": "tests/live/test_recording.py::test_killed_recorder_loses_less_than_one_second",
     "video": "tests/unit/evaluation/video/test_video.py::test_video_command_renders_run_and_prints_summary",
+    "plan": "tests/unit/deploy/test_plan_command.py::test_plan_is_written_printed_and_the_same_in_python",
     "robot check": "tests/unit/deploy/test_robot_command.py::test_check_prints_limits_and_fails_if_one_is_not_met",
     "robot new": "tests/unit/deploy/test_robot_command.py::test_new_asks_for_measures_and_writes_a_profile_that_passes",
     "robot import": "tests/unit/deploy/test_robot_command.py::test_import_writes_a_profile_that_later_commands_read",

@@ -18,7 +18,8 @@ from benchmarks.peers.passage_ompl import BodyPlanner
 from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, heights, random_blocks, thesis_blocks
 from benchmarks.peers.timing import Race, Timing, installed, one_core
-from sextant.evaluation.scoring.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import stance_at
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
@@ -105,10 +106,10 @@ def ground(case: str, seed: int) -> StripMap:
     """Return the strip of a case; the seed displaces its pillars a little."""
     rng = np.random.default_rng(seed)
     if case == "strewn pillars":
-        return field_of(heights(random_blocks(rng, GAP, _PITCH, _SHARE, _SIZE), GAP), HEIGHT)
+        return strip_of(heights(random_blocks(rng, GAP, _PITCH, _SHARE, _SIZE), GAP), HEIGHT)
     blocks = thesis_blocks(CASES.index(case) + 1, GAP, Y, LENGTH, SHIFT, TWO)
     moved = [(block, rng.uniform(-_OFF, _OFF, 2)) for block in blocks]
-    return field_of(heights([type(b)(b.x + dx, b.y + dy, b.length, b.width, b.top) for b, (dx, dy) in moved], GAP), HEIGHT)
+    return strip_of(heights([type(b)(b.x + dx, b.y + dy, b.length, b.width, b.top) for b, (dx, dy) in moved], GAP), HEIGHT)
 
 
 def in_words(measured: Measured) -> str:
@@ -147,7 +148,7 @@ def _planned_by(roadmap: Roadmap) -> Callable[[StripMap, Stance, float], object]
 
 
 def _compile(roadmap: Roadmap, stance: Stance) -> None:
-    roadmap.begin(field_of(heights([], GAP), HEIGHT), stance, NEAR + GAP + BEYOND, seed=0)
+    roadmap.begin(strip_of(heights([], GAP), HEIGHT), stance, NEAR + GAP + BEYOND, seed=0)
     roadmap.grow(10)
 
 

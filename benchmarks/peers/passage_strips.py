@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.evaluation.scoring.passage_truth import RESOLUTION
+from sextant.evaluation.whole_maps.strip import RESOLUTION
 
 GAP = 0.80  # [m]
 NEAR, FAR, WIDTH = 0.70, 0.80, 1.20  # [m] platforms before and behind the gap, and width of the strip

@@ -20,7 +20,7 @@ Every command prints its help with `--help`. The exit status is 0 only on succes
 after Ctrl-C. `--json` prints the result for scripts. A link leads to the arguments and options of the command.
 """
 _OF_SEXTANT = (  # end of a page's name, its title and its commands
-    ("walk", "walks in simulation", ("demo", "run", "trials", "trials table")),
+    ("walk", "walks in simulation", ("demo", "run", "plan", "trials", "trials table")),
     ("robot", "operation of a robot", ("up", "fleet", "order", "drive", "service", "doctor")),
     ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
     ("network", "topics and certificates", ("keys", "topics")),

@@ -9,19 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.services.mapper.footholds.layers import FootholdLayers
-from sextant.services.mapper.footholds.params import FootholdLayersParams
+from sextant.evaluation.whole_maps.terrain_map import RESOLUTION_M, terrain_of
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
 from sextant.services.planner.locomotion.step_planner import NoStep, StepPlanner, StepStart
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.wire.messages import TerrainMap, VelocityCommand
+from sextant.shared.wire.messages import VelocityCommand
 
-_RESOLUTION_M = 0.01  # [m] of the maps: that of the mapper
 _AROUND_M = 0.4  # [m] from the resting feet to the edges of the maps, more for a robot that searches footholds farther away
 _DEPTH_M = 0.5  # [m] of a gap
-_SIGMA_M = 0.001  # [m] of the heights
 _MAX_STEPS = 80
 _LIFT_M = 0.025  # [m] commanded clearance, the default of scenarios
 
@@ -91,7 +88,7 @@ class _Walker:
         """
         passed = 0.0
         for value in values.tolist():
-            goal = start + 3.0 * self.half_length + 2.0 * _RESOLUTION_M
+            goal = start + 3.0 * self.half_length + 2.0 * RESOLUTION_M
             goal += value if np.isclose(ground(np.array([goal + 9.0]), value)[0], 0.0) else 0.0  # beyond a gap
             reason = self._walk(ground, value, goal)
             if reason:
@@ -118,20 +115,7 @@ class _Walker:
 
     def _terrain(self, height: Callable[[Array], Array], length: float) -> Terrain:
         """Return the map of a ground whose height depends on x alone."""
-        nx, ny = (round(size / _RESOLUTION_M) for size in (self._behind + length, 2 * self._aside))
-        x = np.asarray(_RESOLUTION_M * np.arange(nx) - self._behind, dtype=np.float64)
+        nx, ny = (round(size / RESOLUTION_M) for size in (self._behind + length, 2 * self._aside))
+        x = np.asarray(RESOLUTION_M * np.arange(nx) - self._behind, dtype=np.float64)
         elevation = np.repeat(height(x)[:, None], ny, axis=1).astype(np.float32)
-        variance = np.full_like(elevation, _SIGMA_M**2)
-        made = FootholdLayers.of((nx, ny), _RESOLUTION_M, self._profile.foot.radius, FootholdLayersParams())
-        layers = made.update(elevation, variance, np.zeros(2, dtype=np.int64))
-        ground = TerrainMap(
-            stamp_ns=0,
-            resolution=_RESOLUTION_M,
-            origin=np.array([-self._behind, -self._aside]),
-            elevation=elevation,
-            variance=variance,
-            score=layers.score,
-            assumed=np.zeros((nx, ny), dtype=np.bool_),
-            evaluation=layers.evaluation,
-        )
-        return Terrain(ground)
+        return Terrain(terrain_of(self._profile, elevation, RESOLUTION_M, (-self._behind, -self._aside)))

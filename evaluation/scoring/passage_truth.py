@@ -4,10 +4,9 @@ Only the scorer may use this.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sextant.evaluation.trace.course import Course
-from sextant.services.mapper.footholds.layers import FootholdLayers, Margin
+from sextant.evaluation.whole_maps.strip import RESOLUTION, strip_of
 from sextant.services.planner.gap_crossing.params import GapApproachParams
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
 from sextant.services.planner.roadmap.exhaustive import passable
@@ -19,7 +18,6 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.scenario.scenario import PillarField, Scenario
 
-RESOLUTION = 0.01  # [m]
 # Half width [m] of a band, tolerance in height [m], and the share [1] of supporting ground below which the gap begins.
 _HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8
 _CYCLES = 30  # cycles of the gait: enough for the whole way in one section
@@ -72,14 +70,7 @@ def strip_from(course: Course, near: float, body_height: float) -> StripMap:
     n = [round(length / RESOLUTION) for length in STRIP]
     x, y = near + RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
     heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(n)
-    return field_of(np.ascontiguousarray(heights, dtype=np.float32), body_height)
-
-
-def field_of(elevation: NDArray[np.float32], body_height: float = 0.11) -> StripMap:
-    """Return the field that the mapper computes from true heights."""
-    layers = FootholdLayers(elevation.shape, RESOLUTION, Margin(0.01))
-    F = layers.update(elevation, np.zeros_like(elevation), np.zeros(2, dtype=np.int64), body_height, 0.0).evaluation
-    return StripMap(elevation, F, RESOLUTION, np.eye(4))
+    return strip_of(np.ascontiguousarray(heights, dtype=np.float32), body_height)
 
 
 def stance_at(profile: RobotProfile, x: float, body_height: float) -> Stance:

@@ -60,8 +60,11 @@ class _ActiveGoal:
 class PathFollower:
     """Follows the path to one goal at a time."""
 
-    def __init__(self, profile: RobotProfile, settings: PlannerParams):
-        """Initialize for a robot."""
+    def __init__(self, profile: RobotProfile, settings: PlannerParams, complete_map: bool = False):
+        """Initialize for a robot.
+
+        `complete_map` tells whether the maps show all ground that there is, so that no unseen ground can be explored.
+        """
         params = settings.path_follower
         self._profile, self._params, self._stall = profile, params, settings.stall
         feet = profile.rest_feet()
@@ -70,7 +73,7 @@ class PathFollower:
         closer = float(np.abs(feet[:, 1]).max()) - profile.stance.search_radius + params.margin_m
         self._size = RequiredSpace(half, min(closer, half), half + params.preferred_margin_m)
         self._blind_radius_m = settings.costmap.blind_radius_m
-        self._ground = LocalGroundMap(settings.costmap)
+        self._ground = LocalGroundMap(settings.costmap, complete_map)
         self._active_goal: _ActiveGoal | None = None
 
     @property

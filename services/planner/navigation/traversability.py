@@ -111,9 +111,14 @@ class CostMap:
 class LocalGroundMap:
     """Ground around the robot from all maps, kept while it is within 64 cells."""
 
-    def __init__(self, params: CostmapParams):
-        """Start without ground."""
-        self._params = params
+    def __init__(self, params: CostmapParams, complete: bool = False):
+        """Start without ground.
+
+        Args:
+            params: Parameters of the traversability map.
+            complete: Whether the maps show all ground that there is: what they leave out counts as a hole.
+        """
+        self._params, self._complete = params, complete
         self._first: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
         self._edge = params.cell_m
         self._layers = _nothing()
@@ -149,7 +154,10 @@ class LocalGroundMap:
         floor_beside = closed(mind["low"], self._params.bridged_cells)
         mind["rise"] = mind["high"] - lowest_around(floor_beside)
         mind["fall"] = -lowest_around(-mind["high"]) - floor_beside
-        self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
+        if self._complete:
+            mind["looks"][mind["known"] < self._params.seen_share] = self._params.hole_looks
+        else:
+            self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
 
     def cost_map(self, size: RequiredSpace, place: Array, stuck: Array, stuck_radius: float) -> CostMap:
         """Return the traversability map.

@@ -9,7 +9,8 @@ import pytest
 from benchmarks.peers import passage as bench
 from benchmarks.peers.passage_checker import Demands, violations
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, random_blocks, thesis_blocks
-from sextant.evaluation.scoring.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import stance_at
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap.backtracking import StepHistory
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import PassageStep, Roadmap, SectionPlan, Stance
@@ -22,11 +23,11 @@ START_STANCE = stance_at(PROFILE, START, HEIGHT)
 
 
 def bridge_field(scenario: int) -> StripMap:
-    return field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.28), GAP))
+    return strip_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.28), GAP))
 
 
 def scattered_field(seed: int, relief: float) -> StripMap:
-    return field_of(heights(random_blocks(np.random.default_rng(seed), GAP, 0.12, 0.9, 0.10, relief), GAP))
+    return strip_of(heights(random_blocks(np.random.default_rng(seed), GAP, 0.12, 0.9, 0.10, relief), GAP))
 
 
 @pytest.fixture(scope="module")

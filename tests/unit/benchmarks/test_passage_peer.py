@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import GAP, NEAR, heights, random_blocks, thesis_blocks
-from sextant.evaluation.scoring.passage_truth import field_of
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of
@@ -17,8 +17,8 @@ from sextant.shared.robot.profiles import load_profile
 PASSAGE = PassageSettings(body_height=0.11)
 PROFILES = [load_profile(name) for name in ("phantomx_mk2", "lotriet_rx64")]
 FIELDS = [
-    field_of(heights(thesis_blocks(3, GAP, 0.17, 0.20, 0.03, 0.28), GAP)),
-    field_of(heights(random_blocks(np.random.default_rng(5), GAP, 0.12, 0.9, 0.10, 0.03), GAP)),
+    strip_of(heights(thesis_blocks(3, GAP, 0.17, 0.20, 0.03, 0.28), GAP)),
+    strip_of(heights(random_blocks(np.random.default_rng(5), GAP, 0.12, 0.9, 0.10, 0.03), GAP)),
 ]
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, heights, thesis_blocks
-from sextant.evaluation.scoring.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import stance_at
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner import warmup
 from sextant.services.planner.config import Settings
 from sextant.services.planner.roadmap.params import PassageSettings
@@ -45,7 +46,7 @@ def test_gap_crossing_planning_compiles_nothing_after_warmup() -> None:
     compile_functions(PROFILE, Settings())
     before = compiled()
     assert before > 0
-    field = received_strip(field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))
+    field = received_strip(strip_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))
     roadmap = Roadmap(PROFILE, PassageSettings(body_height=0.105))
     roadmap.begin(field, stance_at(PROFILE, START, 0.105), NEAR + 0.8 + BEYOND, seed=1)
     assert roadmap.grow(30_000) is not None
@@ -53,7 +54,7 @@ def test_gap_crossing_planning_compiles_nothing_after_warmup() -> None:
 
 
 def test_received_strip_equals_sent_ground() -> None:
-    field = field_of(heights(thesis_blocks(2, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105)
+    field = strip_of(heights(thesis_blocks(2, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105)
     told = received_strip(field)
     np.testing.assert_array_equal(told.elevation, field.elevation)
     np.testing.assert_array_equal(told.evaluation, field.evaluation)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, Block, heights, random_blocks, thesis_blocks
-from sextant.evaluation.scoring.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import stance_at
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap.exhaustive import has_way, passable
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
@@ -21,7 +22,7 @@ STANCE, GOAL_X = stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND
 
 
 def has_way_across(blocks: list[Block], room: int = 50_000) -> bool | None:
-    return has_way(PROFILE, SETTINGS, field_of(heights(blocks, GAP), HEIGHT), STANCE, GOAL_X, room)
+    return has_way(PROFILE, SETTINGS, strip_of(heights(blocks, GAP), HEIGHT), STANCE, GOAL_X, room)
 
 
 def random_pillars(seed: int, n: int = 12) -> list[Block]:
@@ -33,7 +34,7 @@ def random_pillars(seed: int, n: int = 12) -> list[Block]:
 
 @pytest.mark.slow
 def test_level_ground_is_passable() -> None:
-    field = field_of(np.zeros((200, 100), dtype=np.float32), HEIGHT)
+    field = strip_of(np.zeros((200, 100), dtype=np.float32), HEIGHT)
     assert has_way(PROFILE, SETTINGS, field, STANCE, 1.2)
     assert passable(PROFILE, SETTINGS, field, STANCE, 1.2) is True
 
@@ -41,7 +42,7 @@ def test_level_ground_is_passable() -> None:
 @pytest.mark.slow
 def test_gap_without_pillars_is_impassable() -> None:
     assert has_way_across([]) is False
-    assert passable(PROFILE, SETTINGS, field_of(heights([], GAP), HEIGHT), STANCE, GOAL_X, attempts=1) is False
+    assert passable(PROFILE, SETTINGS, strip_of(heights([], GAP), HEIGHT), STANCE, GOAL_X, attempts=1) is False
 
 
 @pytest.mark.slow
@@ -54,7 +55,7 @@ def test_thesis_bridges_are_passable(scenario: int) -> None:
 def test_gap_is_passable_only_up_to_some_width() -> None:
     """Check that ways exist up to some gap width, and for no wider gap."""
     told = [
-        has_way(PROFILE, SETTINGS, field_of(heights([], gap), HEIGHT), STANCE, NEAR + gap + BEYOND)
+        has_way(PROFILE, SETTINGS, strip_of(heights([], gap), HEIGHT), STANCE, NEAR + gap + BEYOND)
         for gap in (0.05, 0.10, 0.20, 0.40)
     ]
     assert told == sorted(told, reverse=True)
@@ -86,7 +87,7 @@ def test_gap_crossed_by_roadmap_is_never_impassable() -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
         blocks = [Block(b.x, b.y, *rng.uniform(0.10, 0.12, 2)) for b in random_blocks(rng, GAP, 0.13, 0.85, 0.10)]
-        field = field_of(heights(blocks, GAP), HEIGHT)
+        field = strip_of(heights(blocks, GAP), HEIGHT)
         roadmap.begin(field, STANCE, GOAL_X, 0)
         while (found := roadmap.grow(SETTINGS.budget)) is None:
             pass
@@ -103,7 +104,7 @@ def test_search_with_too_little_room_is_undecided() -> None:
 def test_start_feet_without_foothold_are_refused() -> None:
     feet = STANCE.feet + np.array([NEAR, 0.0, 0.0])
     with pytest.raises(ValueError, match="every foot on a foothold"):
-        has_way(PROFILE, SETTINGS, field_of(heights([], GAP), HEIGHT), Stance(STANCE.body, feet), GOAL_X)
+        has_way(PROFILE, SETTINGS, strip_of(heights([], GAP), HEIGHT), Stance(STANCE.body, feet), GOAL_X)
 
 
 def test_cell_size_unlike_lattice_is_refused() -> None:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sextant.evaluation.scoring.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import stance_at
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.failure_reasons import (
     TEST_NAMES,
@@ -31,7 +32,7 @@ def failure_reason(
     """
     ground = np.zeros((round(length / 0.01), 120), dtype=np.float32)
     x = 0.01 * (np.arange(len(ground)) + 0.5)
-    plain = field_of(ground)
+    plain = strip_of(ground)
     evaluation = np.full_like(plain.evaluation, -5)
     for begin, end in bare:
         evaluation[(x > begin) & (x < end)] = 5

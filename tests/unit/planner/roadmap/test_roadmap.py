@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from benchmarks.peers.passage_checker import violations
 from benchmarks.peers.passage_strips import BEYOND, NEAR, START, Block, heights, thesis_blocks
-from sextant.evaluation.scoring.passage_truth import field_of, stance_at
+from sextant.evaluation.scoring.passage_truth import stance_at
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, SectionPlan, Stance
@@ -37,7 +38,7 @@ def roadmap() -> Roadmap:
 
 
 def level(length: float = 2.0) -> StripMap:
-    return field_of(np.zeros((round(length / 0.01), 100), dtype=np.float32))
+    return strip_of(np.zeros((round(length / 0.01), 100), dtype=np.float32))
 
 
 def grown(
@@ -75,7 +76,7 @@ def test_plan_depends_on_seed_but_not_on_batch_size(roadmap: Roadmap) -> None:
 
 @pytest.mark.parametrize("scenario", [1, 2, 3])
 def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: int) -> None:
-    field = field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.30), GAP), HEIGHT)
+    field = strip_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.30), GAP), HEIGHT)
     for seed in range(4):
         found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed)
         if isinstance(found, SectionPlan):
@@ -92,7 +93,7 @@ def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: 
 
 @pytest.mark.slow
 def test_gap_without_pillars_is_reported_as_lacking_footholds(roadmap: Roadmap) -> None:
-    field = field_of(heights([], GAP), HEIGHT)
+    field = strip_of(heights([], GAP), HEIGHT)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
     assert isinstance(found, NoSection)
     assert "without a foothold" in found.reason
@@ -103,7 +104,7 @@ def test_gap_without_pillars_is_reported_as_lacking_footholds(roadmap: Roadmap) 
 
 @pytest.mark.slow
 def test_failed_search_returns_steps_to_furthest_stance_and_leg(roadmap: Roadmap) -> None:
-    field, stance = field_of(heights([], GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT)
+    field, stance = strip_of(heights([], GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT)
     found = grown(roadmap, field, stance, NEAR + GAP + BEYOND)
     assert isinstance(found, NoSection)
     np.testing.assert_array_equal(found.steps[-1].body, found.furthest.body)
@@ -120,7 +121,7 @@ def test_section_ends_before_unknown_ground(roadmap: Roadmap) -> None:
     elevation = np.zeros((200, 100), dtype=np.float32)
     elevation[110:] = np.nan
     known = np.isfinite(elevation)
-    F = field_of(np.zeros((200, 100), dtype=np.float32)).evaluation
+    F = strip_of(np.zeros((200, 100), dtype=np.float32)).evaluation
     field = StripMap(elevation, np.where(known, F, np.int8(UNKNOWN)), 0.01, np.eye(4))
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), 1.5)
     assert isinstance(found, SectionPlan)
@@ -135,7 +136,7 @@ def test_section_ends_before_unknown_ground(roadmap: Roadmap) -> None:
 
 @pytest.mark.parametrize("far_side_seen", [True, False])
 def test_pillars_leading_to_unknown_ground_are_not_entered(roadmap: Roadmap, far_side_seen: bool) -> None:
-    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    plain = strip_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
     evaluation = plain.evaluation.copy()
     evaluation[from_:to] = evaluation[from_:to] if far_side_seen else UNKNOWN
@@ -149,7 +150,7 @@ def test_pillars_leading_to_unknown_ground_are_not_entered(roadmap: Roadmap, far
 
 def test_gap_with_unseen_floor_is_crossed(roadmap: Roadmap) -> None:
     """Check that a sample on the floor counts as the edge next to it, seen or not."""
-    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    plain = strip_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     floor = plain.evaluation > 1
     unseen = replace(plain, evaluation=np.where(floor, np.int8(UNKNOWN), plain.evaluation))
     expanded = []
@@ -180,7 +181,7 @@ def test_nearest_seen_cell_matches_brute_force(seen: int, seed: int) -> None:
 @pytest.mark.slow
 def test_foot_at_gap_edge_does_not_count_as_on_pillars(roadmap: Roadmap) -> None:
     """Check that a foot on the near side's last rows does not count as on pillars."""
-    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    plain = strip_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
     from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
     evaluation = plain.evaluation.copy()
     evaluation[from_:to] = UNKNOWN
@@ -278,7 +279,7 @@ def test_foot_steps_back_only_from_sunk_ground(roadmap: Roadmap, sunk: bool) -> 
 @pytest.mark.slow
 def test_reason_gives_world_position_and_excess_gap_width(roadmap: Roadmap) -> None:
     elevation = heights([], 0.8)
-    plain = field_of(elevation, HEIGHT)
+    plain = strip_of(elevation, HEIGHT)
     elsewhere = from_xyz_rpy((5.0, 2.0, 0.0), np.zeros(3))
     field = StripMap(plain.elevation, plain.evaluation, plain.resolution, elsewhere)
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + 0.8 + BEYOND)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.peers.passage_strips import FAR, GAP, NEAR, heights, thesis_blocks
-from sextant.evaluation.scoring.passage_truth import field_of
+from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.gap_crossing.params import GapDetectionParams
 from sextant.services.planner.roadmap import sections
 from sextant.services.planner.roadmap.params import BareGroundParams
@@ -18,7 +18,7 @@ from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.wire.messages import UNKNOWN
 
 goal_behind = partial(sections.goal_behind, params=BareGroundParams())
-PILLARS = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.035, 0.27), GAP))
+PILLARS = strip_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.035, 0.27), GAP))
 BEHIND = NEAR + GAP + 0.40  # [m] x at which the whole robot stands behind the gap
 END = NEAR + GAP + FAR
 EDGE = 0.05  # [m] width of the strip along a gap's edge that carries a foot badly
@@ -42,33 +42,33 @@ def test_continuous_ground_has_no_section_goal() -> None:
     The end of the strip is not the end of the ground.
     """
     for target in (1.9, 5.0):
-        assert goal_behind(field_of(np.zeros((200, 100), dtype=np.float32)), 0.6, target) is None
+        assert goal_behind(strip_of(np.zeros((200, 100), dtype=np.float32)), 0.6, target) is None
 
 
 def test_first_of_two_separated_gaps_is_crossed_first() -> None:
     elevation = np.zeros((300, 100), dtype=np.float32)
     elevation[100:130] = elevation[240:280] = -0.4
-    field = field_of(elevation)
+    field = strip_of(elevation)
     for x in (0.6, 1.2):
         assert goal_behind(field, x, 9.0) == pytest.approx(1.3 + 0.40, abs=EDGE)
     assert goal_behind(field, 1.5, 9.0) == pytest.approx(1.3 + 0.40, abs=EDGE)
     assert goal_behind(field, 2.0, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
     elevation[160:240] = -0.4  # too little ground between the gaps
-    assert goal_behind(field_of(elevation), 0.6, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
+    assert goal_behind(strip_of(elevation), 0.6, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
 
 
 def test_distant_gap_has_no_section_goal_yet() -> None:
     elevation = np.zeros((300, 100), dtype=np.float32)
     elevation[200:240] = -0.4
-    assert goal_behind(field_of(elevation), 1.0, 9.0) is None
-    assert goal_behind(field_of(elevation), 1.5, 9.0) is not None
+    assert goal_behind(strip_of(elevation), 1.0, 9.0) is None
+    assert goal_behind(strip_of(elevation), 1.5, 9.0) is not None
 
 
 def test_bare_ground_follows_parameters_of_gap_detection() -> None:
     """Check that ground which the detection of gaps accepts is no gap for the goal of a section, and vice versa."""
     elevation = np.zeros((300, 100), dtype=np.float32)
     elevation[100:140, 56:72] = -0.4  # a hole of 16 cm to the right of the middle
-    field = field_of(elevation)
+    field = strip_of(elevation)
     for params, is_gap in (
         (GapDetectionParams(), True),
         (GapDetectionParams(carrying_share=0.2), False),
@@ -81,11 +81,11 @@ def test_bare_ground_follows_parameters_of_gap_detection() -> None:
 def test_gap_at_strip_end_has_section_goal() -> None:
     elevation = np.zeros((200, 100), dtype=np.float32)
     elevation[160:] = -0.4
-    assert goal_behind(field_of(elevation), 1.0, 5.0) == pytest.approx(2.0 + 0.40, abs=0.07)
+    assert goal_behind(strip_of(elevation), 1.0, 5.0) == pytest.approx(2.0 + 0.40, abs=0.07)
 
 
 def test_unknown_ground_is_not_gap() -> None:
-    level = field_of(np.zeros((200, 100), dtype=np.float32))
+    level = strip_of(np.zeros((200, 100), dtype=np.float32))
     evaluation = level.evaluation.copy()
     evaluation[120:] = UNKNOWN
     assert goal_behind(replace(level, evaluation=evaluation), 0.6, 1.9) is None

@@ -1,0 +1,1 @@
+"""Plans on whole maps, without a robot."""
