@@ -3,9 +3,9 @@
 Such a servo has commands instead of registers. Each value gets an address of ours here, and a read or a write of all bytes of
 one command becomes that command. What no command reads or writes belongs to the model, not to the servo: `LACKS` names it.
 
-Published: packets, commands, ranges, and that a servo that is too hot, or whose voltage is outside its limits, has no torque
-until that ends. Not published: whether a stalled servo keeps its torque, whether a goal turns torque on, and the law of the
-position controller. Source: LewanSoul (Hiwonder) Bus Servo Communication Protocol.
+Published: packets, commands, ranges, and that a servo that is too hot has no torque until it has cooled. Assumed: the same for
+a voltage outside its limits. Not published: whether a stalled servo keeps its torque, whether a goal turns torque on, and the
+law of the position controller. Source: LewanSoul (Hiwonder) Bus Servo Communication Protocol.
 """
 
 import math

@@ -13,7 +13,8 @@ from sextant.shared.servo.models import MODEL_NAMED
 from tests.support.families import FAMILIES, robot_with
 
 _LOOK_NS = 500_000_000
-OF_REGISTERS = [name for name in FAMILIES if MODEL_NAMED[name].commands is None]
+# The XL-320 is too weak for this robot: 0.39 N m for 2.4 kg.
+OF_REGISTERS = [name for name in FAMILIES if MODEL_NAMED[name].commands is None and name != "XL-320"]
 
 
 @pytest.mark.parametrize(
