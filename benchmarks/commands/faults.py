@@ -54,7 +54,10 @@ def faults(
     live, robot = kinds == {True}, options.checked_robot(robot)
     if live and robot != SCENARIO.robot:
         raise InputError(f"--robot: {SCENARIO.robot} expected with live faults, found {robot}; other robots walk in lockstep")
-    if load_profile(robot).servo.pulses is not None:
+    profile = load_profile(robot)
+    if profile.servo.pulses is None and profile.servo_model.commands is not None:
+        raise InputError(f"--robot: servos with registers expected, found {profile.servo_model.name}, which have commands")
+    if profile.servo.pulses is not None:
         raise InputError(
             f"--robot: a robot on a servo bus expected, found {robot}, whose goals are pulses; see docs/hobby_servos.md"
         )

@@ -100,6 +100,7 @@ class Actuator:
         self._has_touch = Feedback.POSITION in profile.servo_model.feedback  # else feet follow their plans
         self._horns = HornCorrection(settings.correct_horns)
         self._estimator = StateEstimator(profile, settings.contact, settings.touchdown)
+        self._estimator.touchdown.bridged = settings.bridge
         self._motion = MotionController(profile, settings, self._joints.goals)
         self._report = StateReport(profile.foot.radius, self._has_touch)
         self._follow_rate()

@@ -71,6 +71,7 @@ class TouchdownDetector:
         """Begin without a reading."""
         self._profile, self._params = profile, params or TouchdownParams()
         self.period_ns = 20_000_000  # [ns] from the last control cycle, in which goals were sent, to this one
+        self.bridged = False  # whether readings come from a microcontroller, which reads in step with its goals
         self._inertia = _leg_inertia(profile)
         measures = Feedback.SPEED in profile.servo_model.feedback
         self._free = None if measures else FreeMotion(profile.servo, self._inertia)
@@ -146,7 +147,7 @@ class TouchdownDetector:
         """Return a femur's motor torque [N m] when the torque balance holds.
 
         A servo read right after new goals may not have received them yet; its spring torque shows which goal it follows. A
-        reading in the first half of a period, as of a microcontroller, is converted to the mean goal since the reading before.
+        reading of a microcontroller in the first half of a period is converted to the mean goal since the reading before.
         """
         servo, goal = self._profile.servo, self._goal[leg]
         since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), self.period_ns)
@@ -159,7 +160,7 @@ class TouchdownDetector:
         ):
             since_ns, goal, new = since_ns + self.period_ns, before, old
         delay_ns = since_ns - _BALANCE * self.period_ns
-        if _TRANSMISSION_NS <= since_ns < _EARLY * self.period_ns:
+        if self.bridged and _TRANSMISSION_NS <= since_ns < _EARLY * self.period_ns:
             goal, delay_ns = before + (goal - before) * since_ns / self.period_ns, 0.5 * self.period_ns
         then = _spring_torque(servo, goal, femur.angle - femur.speed * delay_ns * 1e-9)
         return femur.load + then - new

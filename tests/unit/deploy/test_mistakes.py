@@ -85,6 +85,8 @@ MISTAKES = [
     ("Run flat", "unknown command 'Run'; did you mean 'run'?"),
     ("trial flat --seeds 0:2", "did you mean 'trials'?"),
     ("--version=3", "option '--version' does not take a value"),
+    ("plan map.npy --goal 1", "--goal: two lengths X,Y in metres expected, found '1'"),
+    ("plan gone.npy --goal 1,1 --resolution 0.01", "gone.npy"),
     ("topics lst", "unknown command 'lst'; did you mean 'list'?"),
     ("servos calibarte", "unknown command 'calibarte'; did you mean 'calibrate'?"),
     ("camera calibrat", "unknown command 'calibrat'; did you mean 'calibrate'?"),

@@ -39,7 +39,7 @@ def test_faults_in_ticks_are_the_same_angle_with_each_servo(model: ServoModel) -
         assert scaled.offset_ticks * tick == pytest.approx(fault.offset_ticks * ax_tick, rel=0.01) or fault.kind == "bit"
         assert 2.0**scaled.bit * tick == pytest.approx(2.0**fault.bit * ax_tick, rel=0.2) or fault.kind == "wrong"
         assert row_of(scaled, [1], model.table) == 0
-        assert (scaled == fault) == (tick == ax_tick)
+        assert (scaled == fault) == (tick == ax_tick) or fault.kind == "bit"  # the nearest bit may be the same
 
 
 @pytest.mark.slow
