@@ -2,12 +2,13 @@
 
 import json
 import math
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, out_folder, say
-from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, number, option
+from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, number, option, options_of
 
 if TYPE_CHECKING:
     from sextant.shared.wire.messages import GaitName
@@ -32,16 +33,30 @@ def _numbers(text: str, counts: tuple[int, ...], expected: str) -> tuple[float, 
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class _MapOptions:
+    """What a map file does not tell."""
+
+    resolution: float | None
+    scale: float | None
+    layer: str
+    topic: str
+
+
 @command()
 @argument("map_file", "heights: .npy, .png, .mcap with a GridMap, or a recorded walk", "MAP")
 @option("--goal", "goal of the body [m]", "X,Y", type=Parsed(_place, "place"), required=True)
 @option("--start", "place of the body [m] and its yaw [deg]", "X,Y[,YAW]", type=Parsed(_pose, "pose"), default="0,0,0")
 @option("--robot", "robot profile, by name or TOML file", "PROFILE", default="phantomx_mk2")
 @option("--gait", "groups of legs that swing together", type=Choice(("tripod", "ripple", "wave")), default="tripod")
-@option("--resolution", "edge of the cells of a .npy or .png [m]", "M", type=number(0.001, 0.2, "m"))
-@option("--scale", "metres per grey value of a .png", "M", type=number(1e-6, 1.0, "m"))
-@option("--layer", "layer of a GridMap", "NAME", default="elevation")
-@option("--topic", "topic of a GridMap, if there are several", "NAME", default="")
+@options_of(
+    _MapOptions,
+    "of_map",
+    option("--resolution", "edge of the cells of a .npy or .png [m]", "M", type=number(0.001, 0.2, "m")),
+    option("--scale", "metres per grey value of a .png", "M", type=number(1e-6, 1.0, "m")),
+    option("--layer", "layer of a GridMap", "NAME", default="elevation"),
+    option("--topic", "topic of a GridMap, if there are several", "NAME", default=""),
+)
 @flag("--around", "only go around gaps, and never cross one")
 @options.out
 @options.as_json
@@ -51,10 +66,7 @@ def plan(
     start: tuple[float, float, float],
     robot: str,
     gait: "GaitName",
-    resolution: float | None,
-    scale: float | None,
-    layer: str,
-    topic: str,
+    of_map: _MapOptions,
     around: bool,
     out: str | None,
     as_json: bool,
@@ -69,7 +81,7 @@ def plan(
     from sextant.shared.files import whole_files
     from sextant.shared.robot.profiles import load_profile
 
-    profile, ground = load_profile(robot), read_map(Path(map_file), resolution, scale, layer, topic)
+    profile, ground = load_profile(robot), read_map(Path(map_file), **asdict(of_map))
     found = plan_on_map(
         profile, ground.heights, ground.resolution, goal, start=start, origin=ground.origin, gait=gait, cross_gaps=not around
     )

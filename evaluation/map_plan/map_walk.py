@@ -4,7 +4,7 @@ The planner's own functions plan for a robot that moves as planned. It is an upp
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from sextant.evaluation.whole_maps.strip import strip_ahead
 from sextant.evaluation.whole_maps.terrain_map import MapPlanError, terrain_of
 from sextant.services.planner.config import Settings
-from sextant.services.planner.gap_crossing.params import GapApproachParams
+from sextant.services.planner.gap_crossing.gap_detection import detect_gap
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.navigation.path_follower import PathFollower
 from sextant.services.planner.navigation.path_planner import NoPath
-from sextant.services.planner.roadmap.params import BareGroundParams, PassageSettings
+from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, Stance
-from sextant.services.planner.roadmap.sections import bare, goal_behind
+from sextant.services.planner.roadmap.sections import goal_behind
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import LEGS, RobotProfile
@@ -130,7 +130,8 @@ class _Walker:
 
     def __init__(self, profile: RobotProfile, map_: TerrainMap, start: tuple[float, float, float], gait: GaitName) -> None:
         self._profile, self._terrain = profile, Terrain(map_)
-        self._planner, self._follower = StepPlanner(profile), PathFollower(profile, Settings(), complete_map=True)
+        self._settings = Settings()
+        self._planner, self._follower = StepPlanner(profile), self._new_follower()
         self._gait, self._now_ns = gait, 0
         self._height = profile.stance.body_height
         self._lift = min(_LIFT_M, profile.stance.max_lift)
@@ -142,7 +143,7 @@ class _Walker:
 
     def walk(self, target: Array, cross_gaps: bool) -> tuple[bool, str]:
         """Walk to a target (2,) [m] {map}; return whether it is reached, and why the walk ends."""
-        goal = Goal(0, target[None], _TOLERANCE_M, self._profile.stance.max_speed, self._height, self._lift, self._gait)
+        goal = self._goal(target, _TOLERANCE_M)
         most = _MORE_STEPS + round(_STEPS_PER_M * float(np.linalg.norm(target - self._body[:2, 3])))
         stands, reason = 0, ""
         while len(self.moves) < most and stands < _MOST_STANDS:
@@ -167,6 +168,37 @@ class _Walker:
                 self._follower.note(reason)
                 self._now_ns += round(_STANDS_S * 1e9)
         return False, reason or f"the robot does not arrive within {most} moves"
+
+    def _walk_to(self, place: Array, tolerance: float) -> str:
+        """Walk to a place (2,) [m] {map} without crossing gaps; return why that fails, or ""."""
+        goal, follower = self._goal(place, tolerance), self._new_follower()
+        for _ in range(_MORE_STEPS):
+            led = follower.lead(goal, self._terrain, self._body, self._body, self._now_ns)
+            if isinstance(led, NoPath):
+                return led.reason
+            if not led.commands:
+                return ""
+            if why := self._step(led.commands):
+                return why
+        return f"the robot does not arrive within {_MORE_STEPS} moves"
+
+    def _goal(self, place: Array, tolerance: float) -> Goal:
+        return Goal(0, place[None], tolerance, self._profile.stance.max_speed, self._height, self._lift, self._gait)
+
+    def _new_follower(self) -> PathFollower:
+        return PathFollower(self._profile, self._settings, complete_map=True)
+
+    def _ground(self) -> float:
+        """Return the ground height [m] {map} under the robot."""
+        return float(self._feet[:, 2].mean()) - self._profile.foot.radius
+
+    def _within_reach(self, ground: float) -> Terrain:
+        """Return the map without ground that is too low for the legs of a robot at a height [m], such as the floor of a gap."""
+        map_, links = self._terrain.map, self._profile.links
+        low = map_.elevation < ground - links.femur - links.tibia
+        unknown = np.float32(np.nan)
+        elevation, score = (np.where(low, unknown, layer) for layer in (map_.elevation, map_.score))
+        return Terrain(replace(map_, elevation=elevation, score=score))
 
     # ------------------------------------------------------------------------------------------------------- steps
 
@@ -223,30 +255,25 @@ class _Walker:
     # ---------------------------------------------------------------------------------------------------- crossings
 
     def _cross(self, target: Array) -> str:
-        """Walk straight to the next bare ground, and cross it; return why that fails, or ""."""
-        params, bare_ground = GapApproachParams(), BareGroundParams()
-        heading = math.atan2(*(target - self._body[:2, 3])[::-1])
-        if why := self._turn(heading, math.radians(params.aligned_deg)):
+        """Walk to the edge of the gap on the straight line to a target, and cross it; return why that fails, or ""."""
+        approach, gaps, ground = self._settings.gap_approach, self._settings.gap_detection, self._ground()
+        xy, max_step_m = self._body[:2, 3], self._settings.costmap.max_step_m
+        gap = detect_gap(self._within_reach(ground), xy, target, ground, max_step_m, gaps)
+        if isinstance(gap, str):
+            return gap
+        to_edge = gap.distance - approach.start_distance_m
+        if to_edge > approach.start_tolerance_m:
+            ahead = np.array([math.cos(gap.heading), math.sin(gap.heading)])
+            if why := self._walk_to(xy + to_edge * ahead, approach.start_tolerance_m):
+                return f"no path to the edge of the gap: {why}"
+        way = target - self._body[:2, 3]
+        heading, along = math.atan2(way[1], way[0]), float(np.linalg.norm(way))
+        if why := self._turn(heading, math.radians(approach.aligned_deg)):
             return why
-        ahead = VelocityCommand(0, np.array([self._profile.stance.max_speed, 0.0]), 0.0, self._height, self._lift, self._gait)
-        stuck = ""
-        while True:
-            strip = strip_ahead(self._terrain.map, self._body[:2, 3], heading, self._height)
-            rows = np.flatnonzero(bare(strip, bare_ground))
-            gap = strip.first_cell[0] + strip.resolution * rows - BEHIND  # [m] ahead of the body
-            gap = gap[gap > 0.0]
-            if stuck or (len(gap) and gap[0] <= params.start_distance_m + params.start_tolerance_m):
-                break
-            before = self._body[:2, 3]
-            if not len(gap) and float(np.linalg.norm(target - before)) < _TOLERANCE_M:
-                return "there is no gap on the straight line to the goal"
-            stuck = self._step((ahead,))
-            if not stuck and float(np.linalg.norm(self._body[:2, 3] - before)) < 1e-3:
-                stuck = "no step leads ahead"
-        along = float(np.linalg.norm(target - self._body[:2, 3]))
-        goal_x = goal_behind(strip, BEHIND, BEHIND + along, bare_ground)
+        strip = strip_ahead(self._terrain.map, self._body[:2, 3], heading, self._height)
+        goal_x = goal_behind(strip, BEHIND, BEHIND + along, gaps)
         if goal_x is None:
-            return stuck or "there is no gap within reach on the straight line to the goal"
+            return "there is no gap within reach on the straight line to the goal"
         roadmap = Roadmap(self._profile, PassageSettings(body_height=self._height))
         for section in range(_MOST_SECTIONS):
             stance = Stance(apply(strip.T_strip_world, self._body[:3, 3]), apply(strip.T_strip_world, self._feet))
@@ -268,7 +295,7 @@ class _Walker:
         return f"the gap is not crossed after {_MOST_SECTIONS} sections"
 
     def _turn(self, heading: float, within: float) -> str:
-        """Turn on the spot to a heading [rad], except for a rest; return why that fails, or ""."""
+        """Turn on the spot to a heading [rad], within a tolerance [rad]; return why that fails, or ""."""
         while abs(error := math.remainder(heading - yaw_of(self._body), 2.0 * math.pi)) > within:
             seconds = self._profile.stance.step_s * GAITS[self._gait].pace
             rate = math.copysign(min(abs(error) / seconds, _TURN_RAD_S), error)
