@@ -55,8 +55,6 @@ def faults(
     if live and robot != SCENARIO.robot:
         raise InputError(f"--robot: {SCENARIO.robot} expected with live faults, found {robot}; other robots walk in lockstep")
     profile = load_profile(robot)
-    if profile.servo.pulses is None and profile.servo_model.commands is not None:
-        raise InputError(f"--robot: servos with registers expected, found {profile.servo_model.name}, which have commands")
     if profile.servo.pulses is not None:
         raise InputError(
             f"--robot: a robot on a servo bus expected, found {robot}, whose goals are pulses; see docs/hobby_servos.md"

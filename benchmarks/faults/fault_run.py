@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.faults.bus_log import Goals, Outside, Recorder, Switch
 from benchmarks.faults.cases import Case
 from benchmarks.faults.timeline import STALE_S, Status, Timeline, Truth, Word
+from sextant.shared.errors import SextantError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import ServiceFailedError
@@ -27,8 +28,10 @@ LEAST_WATCH_S = 3.0
 REPEAT_S = 0.5  # [s] between an order and its repetition
 
 
-class NoWalkError(RuntimeError):
+class NoWalkError(SextantError, RuntimeError):
     """The robot does not walk although no fault was injected."""
+
+    exit_status = 1
 
 
 @dataclass(frozen=True, slots=True)

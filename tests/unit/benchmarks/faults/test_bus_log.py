@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from benchmarks.faults.bus_log import Recorder, Role
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo import dynamixel2
-from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import Recovery
 from tests.support.families import FAMILIES, robot_with
 from tests.support.timelines import PROFILE
@@ -61,25 +60,34 @@ def test_broadcast_write_is_logged_for_all_servos_and_read_is_not() -> None:
     assert len(recorder.switches) == 1
 
 
-@pytest.mark.parametrize("name", [name for name in FAMILIES if MODEL_NAMED[name].commands is None])
+@pytest.mark.parametrize("name", FAMILIES)
 def test_goals_switches_and_resets_are_read_from_each_family(name: str) -> None:
     profile = robot_with(name)
     model, ids = profile.servo_model, profile.servo_ids.ravel().tolist()
     table, protocol, recorder = model.table, model.protocol, Recorder(profile)
-    block, row = table.goals, bytearray(table.goals.size)
+    if model.commands is None:
+        start, size = table.goals.address, table.goals.size
+    else:  # one packet for each servo, with a time instead of a speed
+        ((start, size),) = model.commands.inside(table.goal_position.address, table.goal_position.size)
+    row = bytearray(size)
     for register, value in ((table.goal_position, model.units.centre), (table.goal_speed, 77)):
-        at = register.address - block.address
-        row[at : at + register.size] = register.encode(value)
-    recorder.sent(protocol.sync_write(block.address, block.size, [(i, bytes(row)) for i in ids]), 0)
-    (goals,) = recorder.goals
+        if model.has(register):
+            at = register.address - start
+            row[at : at + register.size] = register.encode(value)
+    recorder.sent(protocol.sync_write(start, size, [(i, bytes(row)) for i in ids]), 0)
+    goals = recorder.goals[-1]
+    assert len(recorder.goals) == (1 if model.commands is None else len(ids))
     assert set(goals.ticks.tolist()) == {model.units.centre}
-    assert set(goals.speeds.tolist()) == {77}
+    assert set(goals.speeds.tolist()) == {77 if model.has(table.goal_speed) else 0}
     assert not recorder.outside
     recorder.heard(protocol.write(protocol.BROADCAST_ID, table.torque_enable.address, b"\0"), 0)
-    resets = {
-        Recovery.TORQUE_LIMIT: protocol.write(3, table.torque_limit.address, table.torque_limit.encode(table.torque_limit.max)),
-        Recovery.TORQUE_ENABLE: protocol.write(3, table.torque_enable.address, b"\0"),
-        Recovery.REBOOT: dynamixel2.reboot(3),
-    }
-    recorder.heard(resets[model.recovery], 0)
-    assert [(switch.role, list(switch.values)) for switch in recorder.switches] == [(Role.TORQUE, ids), (Role.RESET, [3])]
+    limit = table.torque_limit
+    match model.recovery:
+        case Recovery.TORQUE_LIMIT:
+            recorder.heard(protocol.write(3, limit.address, limit.encode(limit.max)), 0)
+        case Recovery.TORQUE_ENABLE:
+            recorder.heard(protocol.write(3, table.torque_enable.address, b"\0"), 0)
+        case Recovery.REBOOT:
+            recorder.heard(dynamixel2.reboot(3), 0)
+    resets = [] if model.recovery is Recovery.ITSELF else [(Role.RESET, [3])]
+    assert [(switch.role, list(switch.values)) for switch in recorder.switches] == [(Role.TORQUE, ids), *resets]
