@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sextant.evaluation.robot_check.gait_cycle import walk_cycle
 from sextant.shared.geometry import exp_so3, rotation_z, transform
 from sextant.shared.robot.description.profile_import import import_profile, read_legs
 from sextant.shared.robot.description.robot_description import (
@@ -24,8 +25,10 @@ from sextant.shared.robot.description.robot_description import (
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.links import BASE, hinges
 from sextant.shared.robot.profile import LEGS, RobotProfile
+from sextant.shared.robot.profile_proposal import proposed_stance
 from sextant.shared.robot.profile_text import profile_text, write_new_profile
 from sextant.shared.robot.profiles import load_profile, profile_names
+from sextant.shared.robot.reach import joint_room
 from sextant.shared.robot.urdf import urdf
 
 PROFILE = load_profile("phantomx_mk2")
@@ -198,6 +201,24 @@ def test_table_of_joints_names_legs_and_leaves_other_hinges_out(tmp_path: Path) 
     path.write_text("\n".join(lines).replace("left_front_femur", "left_front_femurr"), encoding="utf-8")
     with pytest.raises(DescriptionError, match="no hinge 'left_front_femurr'; did you mean 'left_front_femur'"):
         import_profile(with_mast, read_legs(path).joints)
+
+
+def test_torque_and_speed_that_no_servo_has_are_those_of_the_model() -> None:
+    whole = described(PROFILE)
+    unlimited = tuple(replace(joint, effort=100.0, speed=100.0) if joint.axis is not None else joint for joint in whole.joints)
+    found = import_profile(replace(whole, joints=unlimited), servo="MX-28")
+    assert found.profile.servo.stall_torque == 2.5
+    assert found.profile.servo.no_load_speed < 10.0
+    notes = [note for note in found.notes if note.startswith("no servo has")]
+    assert notes == [f"no servo has 100 {unit}: the value of the servo model is used" for unit in ("N m", "rad/s")]
+
+
+def test_proposed_stride_leaves_room_for_coxae_that_hardly_turn() -> None:
+    legs = tuple(replace(leg, servo_limits_deg=((-25.0, 25.0), *leg.servo_limits_deg[1:])) for leg in PROFILE.legs)
+    robot = replace(PROFILE, legs=legs, calibration=())
+    robot = replace(robot, stance=proposed_stance(robot))
+    cycle = walk_cycle(robot, "tripod", robot.stance.body_height)
+    assert joint_room(robot, cycle.q, cycle.share)[0] > 0.0
 
 
 def test_feet_of_a_table_may_differ_between_legs(tmp_path: Path) -> None:
