@@ -18,7 +18,8 @@ from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
-from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY, ServoBank
+from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo import dynamixel2
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import BusProtocol, ServoModel

@@ -50,8 +50,8 @@ _PARTS = {
 }
 _PROFILE = """# Profile format
 
-*`python -m docs.reference profiles` makes this page from the schema (`shared/robot/profile.py`); a test checks that it is up to
-date.*
+*`python -m docs.reference profiles` makes this page from the schema (`shared/robot/profile.py` and `servo.py`); a test checks
+that it is up to date.*
 
 A profile is a TOML file that describes a robot. [your_robot.md](your_robot.md) has a complete one. `--robot` takes its path,
 or a name: `phantomx_mk2`, `lotriet_rx64`, `printed_sts3215` and `jethexa_hx35h` ([servos.md](servos.md)), `phantomx_mk2` with

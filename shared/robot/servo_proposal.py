@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 from types import MappingProxyType
 
-from sextant.shared.robot.profile import Battery, Servo
+from sextant.shared.robot.servo import Battery, Servo
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.spelling import hint
 

@@ -137,7 +137,6 @@ def custom_model(name: str, numbers: ModelNumbers) -> ServoModel:
     )
     table = _with_positions(base.table, positions) if numbers.positions else base.table
     table = _with_registers(table, numbers.registers)
-    renamed = {getattr(base.table, role).name: getattr(table, role) for role in ROLES if getattr(base.table, role, None)}
     stated = {getattr(base.table, one.role).name for one in numbers.registers if one.default != _AS_LIKE}
     if numbers.positions:
         stated |= {getattr(base.table, role).name for role in _POSITIONS}
@@ -150,7 +149,7 @@ def custom_model(name: str, numbers: ModelNumbers) -> ServoModel:
         no_load_rpm=numbers.no_load_rpm,
         overrides=MappingProxyType({key: value for key, value in base.overrides.items() if key not in stated}),
     )
-    gain = renamed[base.table.position_gain.name] if base.table.position_gain is not None else None
+    gain = table.position_gain
     if numbers.full_torque_deg and gain is not None:
         model = replace(model, gain_stiffness=1.0 / (math.radians(numbers.full_torque_deg) * max(model.default(gain), 1)))
     return model

@@ -8,7 +8,8 @@ import pytest
 
 from sextant.services.perception import tum
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
-from sextant.services.simulator.servo_bus.servo_bank import AX_12A_MOTOR, ServoBank
+from sextant.services.simulator.servo_bus.motors import AX_12A_MOTOR
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic

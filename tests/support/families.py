@@ -8,10 +8,12 @@ import numpy as np
 from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
-from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY, make_servo_bank
+from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import RobotProfile, Servo
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.servo import Servo
 from sextant.shared.robot.servo_proposal import proposed_battery
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import ServoModel

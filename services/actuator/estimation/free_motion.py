@@ -2,7 +2,7 @@
 
 import math
 
-from sextant.shared.robot.profile import Servo
+from sextant.shared.robot.servo import Servo
 
 _STEP_S = 0.0025  # [s] of the integration, far below the period of a leg on the spring of its servo
 _SLOW_RAD_S = 0.05  # [rad/s] below which dry friction is only a part of itself

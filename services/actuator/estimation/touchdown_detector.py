@@ -11,7 +11,8 @@ from sextant.services.actuator.estimation.free_motion import FreeMotion
 from sextant.services.actuator.estimation.params import TouchdownParams
 from sextant.shared.geometry import Array
 from sextant.shared.robot.kinematics import link_torques
-from sextant.shared.robot.profile import RobotProfile, Servo
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.servo import Servo
 from sextant.shared.servo.servo_model import Feedback
 
 FEMUR = 1  # the joint that bears the ground's push; the tibia's lever arm over the foot is short

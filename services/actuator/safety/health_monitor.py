@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import JOINTS, LEGS, WARM_K, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
+from sextant.shared.robot.servo import WARM_K
 from sextant.shared.servo.servo_model import ServoError, error_words
 
 SILENT = 4  # consecutive unanswered requests from which a servo counts as silent

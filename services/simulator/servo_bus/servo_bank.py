@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.simulator.servo_bus.motors import AX_12A_MOTOR, Motor, Supply, motor_and_supply
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
-from sextant.shared.robot.profile import Servo
-from sextant.shared.runtime.compiled import compiled
+from sextant.services.simulator.servo_bus.servo_kernels import measure, update_controllers, update_heat
+from sextant.shared.robot.servo import Servo
 from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import AX_12A
 from sextant.shared.servo.protection import Protection
@@ -28,32 +29,6 @@ _EPS = 1e-9  # rounding tolerance of a duty, or of a sum of time steps, at a lim
 
 
 @dataclass(frozen=True, slots=True)
-class Motor:
-    """Torque and currents of one motor.
-
-    Sources: ROBOTIS e-manual and Feetech data sheets; the standby current of the AX-12A is from the RX-64 page.
-    """
-
-    stall_torque: float = 1.5  # [N m] at a duty of 1
-    stall_current: float = 1.5  # [A] at a duty of 1
-    standby_current: float = 0.05  # [A] also without torque
-
-
-@dataclass(frozen=True, slots=True)
-class Supply:
-    """Battery of all servos and the computer: a 3S LiPo pack.
-
-    Its voltage is linear in the charge.
-    """
-
-    full_voltage: float = 12.6  # [V] open circuit
-    empty_voltage: float = 9.9  # [V] open circuit
-    capacity_ah: float = 4.0  # [A h]
-    resistance: float = 0.04  # [ohm]
-    computer_current: float = 1.0  # [A]
-
-
-@dataclass(frozen=True, slots=True)
 class ServoVariation:
     """Deviations of n servos from their data sheet."""
 
@@ -62,49 +37,10 @@ class ServoVariation:
     backlash: Array  # (n,) [rad] play of the gears, in which a motor exerts no torque
 
 
-AX_12A_MOTOR = Motor()
-# At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are scaled with the voltage, as for a DC motor.
-RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
-RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: Lotriet 2024, section 3.1
-RX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.7)  # at 12 V
-MX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.4, standby_current=0.1)  # at 12 V
-MX_64_MOTOR = Motor(stall_torque=6.0, stall_current=4.1, standby_current=0.1)  # at 12 V
-STS3215_MOTOR = Motor(stall_torque=2.94, stall_current=2.7, standby_current=0.006)  # the model for 12 V
-XL_320_MOTOR, XL_320_SUPPLY = Motor(stall_torque=0.39, stall_current=1.1, standby_current=0.02), Supply(8.4, 6.6)  # two cells
-XL430_W250_MOTOR = Motor(stall_torque=1.4, stall_current=1.3, standby_current=0.052)  # at 11.1 V
-XC430_W150_MOTOR = Motor(stall_torque=1.6, stall_current=1.4, standby_current=0.046)  # at 12 V
-XC430_W240_MOTOR = Motor(stall_torque=1.9, stall_current=1.4, standby_current=0.046)  # at 12 V
-XM430_W350_MOTOR = Motor(stall_torque=4.1, stall_current=2.3, standby_current=0.04)  # at 12 V
-# A DS3218 at 6.8 V. A battery behind a step-down converter keeps this voltage.
-PWM_MOTOR = Motor(stall_torque=2.11, stall_current=2.3, standby_current=0.005)
-PWM_SUPPLY = Supply(full_voltage=6.8, empty_voltage=6.8, resistance=0.01)
-LX_16A_MOTOR = Motor(stall_torque=1.67, stall_current=2.4, standby_current=0.1)  # at 7.4 V; 17 kg cm; currents assumed
-HX_35H_MOTOR = Motor(stall_torque=3.43, stall_current=3.0, standby_current=0.1)  # at 11.1 V; 35 kg cm; currents assumed
-AX_18A_MOTOR = Motor(stall_torque=1.8, stall_current=2.2)
-AX_12W_MOTOR = Motor(stall_torque=0.2, stall_current=1.4)
-MOTOR_AND_SUPPLY = {
-    "AX-12A": (AX_12A_MOTOR, Supply()),
-    "AX-18A": (AX_18A_MOTOR, Supply()),
-    "AX-12W": (AX_12W_MOTOR, Supply()),
-    "RX-28": (RX_28_MOTOR, Supply()),
-    "MX-28": (MX_28_MOTOR, Supply()),
-    "MX-64": (MX_64_MOTOR, Supply()),
-    "XL-320": (XL_320_MOTOR, XL_320_SUPPLY),
-    "XL430-W250": (XL430_W250_MOTOR, Supply()),
-    "XC430-W150": (XC430_W150_MOTOR, Supply()),
-    "XC430-W240": (XC430_W240_MOTOR, Supply()),
-    "XM430-W350": (XM430_W350_MOTOR, Supply()),
-    "STS3215": (STS3215_MOTOR, Supply()),
-    "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
-    "LX-16A": (LX_16A_MOTOR, Supply(full_voltage=8.4, empty_voltage=6.6)),
-    "HX-35H": (HX_35H_MOTOR, Supply()),
-}
-
 # [ns] maximum extrapolation of joint motion from a physics step; in lockstep, a cycle reads up to this far ahead of the step.
 _MAX_EXTRAPOLATION_NS = 6_000_000
 _JAM_RATIO = 5.0  # [1] stiffness and torque that hold a jammed joint, as multiples of those of its servo
 _BUCKETS = 100  # number of time slices of the sliding window of the mean duty
-_HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,134 +53,6 @@ class ServoCommand:
     setpoint: Array  # (n,) [rad] servo angle, with the compliance margin subtracted
     stiffness: Array  # (n,) [N m/rad]
     torque_limit: Array  # (n,) [N m] 0 with torque off
-
-
-@compiled
-def _update_heat(
-    load: Array,
-    temperature: Array,
-    temperature_limit: Array,
-    stalled_for: Array,
-    bucket: Array,
-    duty_sum: Array,
-    tripped: NDArray[np.uint8],
-    dt: float,
-    protection: tuple[float, ...],
-) -> tuple[float, bool]:
-    """Update temperature and overload of n servos by one physics step, in place.
-
-    Args:
-        load: (n,) motor torque as a fraction of the stall torque.
-        temperature: (n,) [deg C] of the motors, updated.
-        temperature_limit: (n,) [deg C].
-        stalled_for: (n,) [s] of uninterrupted stall, updated.
-        bucket: (n,) [s] duty integrated over the current slice of the window, updated.
-        duty_sum: (n,) [s] the same over all other slices.
-        tripped: (n,) error bits whose conditions are met, overwritten.
-        dt: [s] duration of the step.
-        protection: [1] duty from which a servo stalls, [s] of a stall after which it trips, [s] maximum integral of the duty
-            over the sliding window, [deg C] ambient temperature, [s] time constant of cooling, [K/s] heating at a duty of 1.
-
-    Returns:
-        The sum of the duties, and whether any servo trips.
-    """
-    stall_duty, stall_time, max_duty_integral, ambient, cooling_time, heating = protection
-    total, any_tripped = 0.0, False
-    for i in range(load.size):
-        duty = abs(load[i])
-        total += duty
-        temperature[i] += dt * ((ambient - temperature[i]) / cooling_time + heating * duty * duty)
-        stalled_for[i] = stalled_for[i] + dt if duty >= stall_duty else 0.0
-        bucket[i] += dt * duty
-        bits = 0
-        if stalled_for[i] >= stall_time or duty_sum[i] + bucket[i] > max_duty_integral:
-            bits |= _OVERLOAD
-        if temperature[i] > temperature_limit[i]:
-            bits |= _HOT
-        tripped[i] = bits
-        any_tripped = any_tripped or bits != 0
-    return total, any_tripped
-
-
-@compiled
-def _measure(
-    units: tuple[float, ...],
-    after: float,
-    stall_torque: Array,
-    q: Array,
-    qd: Array,
-    load: Array,
-    setpoint: Array,
-    stiffness: Array,
-    torque_limit: Array,
-    temperature: Array,
-    goal: Array,
-    ramp: Array,
-    torque_off: NDArray[np.bool_],
-    load_direction: Array,
-    values: NDArray[np.int64],
-) -> None:
-    """Compute what n servos measure `after` [s] a physics step, in register units.
-
-    Angles and loads are extrapolated: the load is that of the motor at the extrapolated angle. With `after` NaN they are those
-    of the step. The position is clipped.
-
-    Args:
-        units: Centre, size and last of the position ticks, units of speed and load, their largest magnitudes, and the bit that
-            marks negative ones, 0 for two's complement.
-        load_direction: (n,) -1 for load registers with the wrong sign.
-        values: (n, 5) position, speed, load, temperature, and whether the servo moves; overwritten.
-    """
-    centre, tick, last_tick, speed_unit, load_unit, most_speed, most_load, speed_bit, load_bit = units
-    for i in range(q.size):
-        angle, share = q[i], load[i]
-        if not np.isnan(after):
-            angle = angle + after * qd[i]
-            torque = stiffness[i] * (setpoint[i] - angle)
-            share = min(max(torque, -torque_limit[i]), torque_limit[i]) / stall_torque[i]
-        values[i, 0] = np.int64(min(max(np.rint(centre + angle / tick), 0.0), last_tick))
-        for k, value, unit, most, bit in (
-            (1, qd[i], speed_unit, most_speed, speed_bit),
-            (2, share * load_direction[i], load_unit, most_load, load_bit),
-        ):
-            size = min(np.rint(abs(value) / unit), most)
-            negative = bit + size if bit > 0.0 and size > 0.0 else -size
-            values[i, k] = np.int64(negative if value < 0.0 else size)
-        values[i, 3] = np.int64(min(max(np.rint(temperature[i]), 0.0), 255.0))
-        values[i, 4] = abs(goal[i] - ramp[i]) > tick and not torque_off[i]
-
-
-@compiled
-def _update_controllers(
-    goal: Array,
-    speed: Array,
-    dt: float,
-    torque_off: NDArray[np.bool_],
-    q: Array,
-    margin: Array,
-    stiffness: Array,
-    ramp: Array,
-    out_setpoint: Array,
-    out_stiffness: Array,
-) -> None:
-    """Compute setpoint and stiffness of n servos.
-
-    The ramp moves toward the goal with a speed [rad/s] for a time [s], in place.
-
-    margin and stiffness (2, n) are those for clockwise and counterclockwise torque. Outside the compliance margin the torque
-    rises from zero at its edge. Inside the margin the setpoint is the joint angle. While torque is off, the ramp follows the
-    joint, so that it starts there when torque is turned on.
-    """
-    for i in range(goal.size):
-        step, reach = goal[i] - ramp[i], speed[i] * dt
-        ramp[i] = goal[i] if abs(step) <= reach else ramp[i] + (reach if step > 0.0 else -reach)
-        if torque_off[i]:
-            ramp[i] = q[i]
-        error = ramp[i] - q[i]
-        side = 1 if error > 0.0 else 0
-        inside = min(max(error, -margin[side, i]), margin[side, i])
-        out_setpoint[i] = (error - inside) + q[i]
-        out_stiffness[i] = stiffness[side, i]
 
 
 class ServoBank:
@@ -534,7 +342,7 @@ class ServoBank:
         The result is the sum of the duties.
         """
         p = self.protection
-        duty_sum, tripped = _update_heat(
+        duty_sum, tripped = update_heat(
             self._load, self.temperature, self._temperature_limit, self._stalled_for, self._buckets[self._bucket],
             self._duty_sum, self._tripped, dt, self._protection_limits,
         )  # fmt: skip
@@ -588,7 +396,7 @@ class ServoBank:
     def _control(self, dt: float) -> ServoCommand:
         """Advance the ramps to the goals by one step, and return the position controllers."""
         out = self._out
-        _update_controllers(
+        update_controllers(
             self._goal, self._speed, dt, self._torque_off, self._q, self._margin, self._stiffness,
             self._setpoint, out.setpoint, out.stiffness,
         )  # fmt: skip
@@ -664,7 +472,7 @@ class ServoBank:
         self._measured, self._measured_after_ns = True, after_ns
         values, faults, out, table = self._values, self._active_faults, self._out, self.table
         before = self.column(table.present_position).copy() if self._has_faults else None
-        _measure(
+        measure(
             self._measure_units, math.nan if self._at_ns is None else after_ns * 1e-9, self._stall_torque, self._q, self._qd,
             self._load, out.setpoint, out.stiffness, out.torque_limit, self.temperature, self._goal, self._setpoint,
             self._torque_off, self._load_direction, values,
@@ -697,7 +505,7 @@ def make_servo_bank(
     proportional to its torque. The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a supply with
     constant voltage, and `battery_resistance` is a factor.
     """
-    motor, supply = _motor_and_supply(servo)
+    motor, supply = motor_and_supply(servo)
     current = motor.stall_current * servo.stall_torque / motor.stall_torque
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
@@ -708,16 +516,3 @@ def make_servo_bank(
     return ServoBank(
         servo_ids, model, motor, supply=supply, q=q, variation=variation, stiffness=servo.stiffness, dead_band_rad=dead_band_rad
     )
-
-
-def _motor_and_supply(servo: Servo) -> tuple[Motor, Supply]:
-    """Return motor and supply of a servo's model; those of a model by its numbers have its current and voltages."""
-    if servo.pulses is not None:
-        return PWM_MOTOR, PWM_SUPPLY
-    if servo.numbers is None:
-        return MOTOR_AND_SUPPLY[servo.model]
-    motor, supply = MOTOR_AND_SUPPLY[servo.numbers.like]
-    full, empty = servo.numbers.supply_volts
-    current = servo.numbers.stall_current or motor.stall_current * servo.stall_torque / motor.stall_torque
-    motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
-    return motor, replace(supply, full_voltage=full, empty_voltage=empty)

@@ -24,8 +24,9 @@ from sextant.shared.robot.description.leg_extraction import (
 )
 from sextant.shared.robot.description.robot_description import DescribedJoint, DescriptionError, RobotDescription
 from sextant.shared.robot.kinematics import body_forward
-from sextant.shared.robot.profile import JOINTS, LEGS, Body, Camera, Foot, Leg, LegLinks, RobotProfile, Servo
+from sextant.shared.robot.profile import JOINTS, LEGS, Body, Camera, Foot, Leg, LegLinks, RobotProfile
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
+from sextant.shared.robot.servo import Servo
 from sextant.shared.robot.servo_proposal import nearest_servo, proposed_battery, proposed_servo, unknown_model
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.spelling import hint

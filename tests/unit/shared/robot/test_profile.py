@@ -16,8 +16,9 @@ from sextant.shared.files import config
 from sextant.shared.geometry import apply
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.kinematics import body_inverse, within_limits
-from sextant.shared.robot.profile import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile, Servo
+from sextant.shared.robot.profile import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile
 from sextant.shared.robot.profiles import load_profile, profile_names
+from sextant.shared.robot.servo import Servo
 from sextant.shared.servo.models import MODEL_NAMED
 
 PROFILE = load_profile("phantomx_mk2")

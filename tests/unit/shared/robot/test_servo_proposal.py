@@ -2,7 +2,7 @@
 
 import pytest
 
-from sextant.services.simulator.servo_bus.servo_bank import MOTOR_AND_SUPPLY
+from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.robot.servo_proposal import STALL_TORQUES, nearest_servo, proposed_servo
 from sextant.shared.servo.models import MODEL_NAMED

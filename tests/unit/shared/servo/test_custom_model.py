@@ -12,9 +12,10 @@ from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.files import config
-from sextant.shared.robot.profile import RobotProfile, Servo
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profile_text import profile_text
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.servo import Servo
 from sextant.shared.servo.custom_model import ModelNumbers, RegisterNumbers, custom_model
 from sextant.shared.servo.models import MODEL_NAMED
 from tests.support.families import robot_with

@@ -120,7 +120,7 @@ def test_loops_are_compiled_before_first_request(fresh: bool, monkeypatch: pytes
 
     Compilation takes seconds on a new machine; a host takes such a late answer for a loose cable.
     """
-    loops = ("_update_heat", "_measure", "_update_controllers")
+    loops = ("update_heat", "measure", "update_controllers")
     called = []
     for name in loops:
         loop = getattr(servo_bank, name)

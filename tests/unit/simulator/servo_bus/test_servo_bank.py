@@ -10,16 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sextant.services.simulator.servo_bus.servo_bank import (
-    AX_12A_MOTOR,
-    MOTOR_AND_SUPPLY,
-    RX_64_MOTOR,
-    RX_64_SUPPLY,
-    ServoBank,
-    ServoCommand,
-    Supply,
-    make_servo_bank,
-)
+from sextant.services.simulator.servo_bus.motors import AX_12A_MOTOR, MOTOR_AND_SUPPLY, RX_64_MOTOR, RX_64_SUPPLY, Supply
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank, ServoCommand, make_servo_bank
 from sextant.shared.robot.profiles import load_profile, profile_names
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo import models
