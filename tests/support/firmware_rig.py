@@ -16,6 +16,7 @@ from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
+from sextant.shared.servo.bridge_protocol import LOAD, Limits
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.servo.firmware import board, config
 from sextant.shared.servo.servo_model import ServoModel
@@ -137,6 +138,11 @@ class FirmwareRig:
         """Break the servo bus for a time."""
         self.faults.inject(BusFault(target, kind, 0.0, for_s, **more), self.now_ns)  # type: ignore[arg-type]
 
+    def limit_torque(self, ticks: int) -> None:
+        """Send the bridge's message that sets the torque limit register of all servos."""
+        share = round(ticks * self.model.units.torque / LOAD)
+        self.driver._send(Limits(*self.driver._head(), (share,) * self.count))
+
     def registers(self, name: str) -> list[int]:
         """Return a register of all servos, by its role in the control table."""
         register = getattr(self.model.table, name)
@@ -174,7 +180,7 @@ def exchange(model: ServoModel, echo: bool = False, seed: int = 5) -> FirmwareRi
     rig.driver.set_torque(True)
     rig.cycle(4, 0.0)
     rig.cycle(10, 0.12)
-    rig.driver.write_torque_limit(700)
+    rig.limit_torque(700)
     rig.inject("bytes", "garbage", 0.3, share=0.02)
     rig.cycle(16, 0.2)
     rig.inject("bytes", "silent", 0.2, share=0.02)

@@ -322,13 +322,6 @@ class ServoBus:
         for _ in range(2):
             self._line.send(self._protocol.write(self._protocol.BROADCAST_ID, enable.address, enable.encode(0)))
 
-    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
-        """Set the torque limit register, (n,) or one for all.
-
-        This ends the shutdown of an overloaded or hot servo, so call it only on an operator's order.
-        """
-        self.sync_write(self._table.torque_limit, limit_ticks)
-
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Read the next servos of the rotation, as many as typically fit a time budget.
 

@@ -229,9 +229,6 @@ class CommandBus(ServoBus):
         if enabled:
             self._sent[:] = _UNKNOWN  # whether it makes the present position the goal is not published
 
-    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
-        """Do nothing: the servos have no torque limit, and what turns their torque off ends by itself."""
-
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Read positions within a time budget, see `ServoBus`; in some calls also the voltage or temperature of one servo."""
         began = self._began_ns = self._clock()

@@ -278,14 +278,6 @@ class Bridge:
         self._torque, self._torque_ns = enabled, self._clock()
         self._order_torque()
 
-    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
-        """Set the torque limit register, (n,) or one for all.
-
-        This ends the shutdown of an overloaded or hot servo, so call it only on an operator's order.
-        """
-        shares = self._whole(limit_ticks, self._table.torque_limit) * (self.model.units.torque / LOAD)
-        self._send(bridge_protocol.Limits(*self._head(), _rounded(shares)))
-
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Return new readings since the last call, at most ten milliseconds old.
 

@@ -235,9 +235,6 @@ class PwmServos:
         self._enabled[:] = True
         self._send()
 
-    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
-        """Do nothing: hobby servos have no torque limit."""
-
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Ask the board for the pulses of one channel, in turn; return no readings, because servos give none.
 

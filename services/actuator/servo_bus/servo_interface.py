@@ -89,10 +89,6 @@ class Servos(Protocol):
         """Turn all torque on or off; send the goals to hold before turning it on."""
         ...
 
-    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
-        """Set every servo's torque limit, which ends a shutdown."""
-        ...
-
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Return new readings within a time budget; those of `first` in any case."""
         ...

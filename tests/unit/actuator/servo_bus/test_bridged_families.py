@@ -83,7 +83,7 @@ def test_readings_goals_and_torque_pass_the_bridge(model: ServoModel) -> None:
     share = 0.3 / rig.bank.motor.stall_torque
     assert [abs(reading.load) for reading in readings] == pytest.approx([share, 0.0, share], abs=0.03)
     assert readings[0].load * readings[2].load < 0.0
-    rig.driver.write_torque_limit(600)
+    assert all(rig.driver.write(servo_id, rig.table.torque_limit, 600) for servo_id in IDS)
     rig.cycle(1)
     assert rig.get(rig.table.torque_limit) == [600] * 3
     rig.driver.set_torque(False)

@@ -119,7 +119,7 @@ def test_goals_and_torque_reach_the_servos(rig: Rig) -> None:
     assert (words[:, 15] == goals).all()
     assert (words[:, 16] == 100).all()
     rig.driver.sync_write_goals(goals, np.arange(18))
-    rig.driver.write_torque_limit(500)
+    rig.driver.sync_write(dxl.TORQUE_LIMIT, 500)
     rig.settle()
     assert (words[:, 16] == np.arange(18)).all()
     assert (words[:, 17] == 500).all()
@@ -297,7 +297,7 @@ def test_shutdown_is_in_reading_and_ends_when_torque_limit_is_restored() -> None
     rig.driver.set_torque(True)
     rig.settle()
     assert rig.bank.step(np.zeros(1), np.zeros(1), np.zeros(1), 0.001).torque_limit[0] == 0.0
-    rig.driver.write_torque_limit(1023)
+    assert rig.driver.write(1, dxl.TORQUE_LIMIT, 1023)
     rig.settle()
     assert rig.bank.step(np.zeros(1), np.zeros(1), np.zeros(1), 0.001).torque_limit[0] == 1.5
 

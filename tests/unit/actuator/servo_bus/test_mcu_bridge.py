@@ -204,9 +204,6 @@ def test_torque_on_requires_fresh_goals_and_goals_reach_servos() -> None:
     assert rig.torque.all()
     assert (rig.goals == goals).all()
     assert rig.mode is Mode.ON
-    rig.driver.write_torque_limit(500)
-    rig.cycle(2, goals)
-    assert (rig.bank.tables.view("<u2")[:, 17] == 500).all()
     assert rig.driver.trouble == ""
 
 
@@ -433,7 +430,7 @@ def test_servo_shutdown_is_in_reading_and_ends_with_torque_limit() -> None:
     errors = {r.servo_id: r.error for r in rig.driver.poll(BUDGET)}
     assert errors == {1: ServoError.OVERLOAD, 2: ServoError.NONE}
     assert rig.driver.errors.tolist() == [ServoError.OVERLOAD, 0]
-    rig.driver.write_torque_limit(1023)
+    assert rig.driver.write(1, dxl.TORQUE_LIMIT, 1023)
     rig.cycle(3)
     assert not rig.bank.shutdown.any()
 
