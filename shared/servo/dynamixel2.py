@@ -25,9 +25,9 @@ ALERT = 1 << 7  # bit of the error byte: the hardware error status register hold
 
 _STUFFED = HEADER[:3]
 _STUFFING = b"\xfd"
-_HEAD = 7  # [bytes] of header, id and length
+HEAD = 7  # [bytes] of header, id and length
 _CRC = 2  # [bytes]
-_ROW_OVERHEAD = 4  # bytes of a servo's part of a combined status besides its data: error, id, CRC
+ROW_OVERHEAD = 4  # bytes of a servo's part of a combined status besides its data: error, id, CRC
 
 
 class Instruction(IntEnum):
@@ -285,7 +285,7 @@ def combined_status(rows: Iterable[tuple[int, int, bytes]]) -> bytes:
 
 def combined_length(sizes: Sequence[int]) -> int:
     """Return the length field of the response to a fast read; a parser must accept it."""
-    return 1 + sum(sizes) + _ROW_OVERHEAD * len(sizes)
+    return 1 + sum(sizes) + ROW_OVERHEAD * len(sizes)
 
 
 def split_status(packet: Packet, sizes: Sequence[int]) -> list[Packet]:
@@ -321,7 +321,7 @@ def answer_start(servo_id: int) -> bytes:
 
 def answer_parser(max_parameters: int) -> "PacketParser":
     """Return a parser of status packets with at most this many parameters."""
-    return PacketParser(OVERHEAD - _HEAD + max_parameters + (max_parameters + 1) // len(_STUFFED))
+    return PacketParser(OVERHEAD - HEAD + max_parameters + (max_parameters + 1) // len(_STUFFED))
 
 
 def instruction_parser() -> "PacketParser":
@@ -375,7 +375,7 @@ class PacketParser(StreamParser):
     """
 
     header = HEADER
-    head_size = _HEAD
+    head_size = HEAD
 
     def __init__(self, max_length: int = MAX_LENGTH, *, keep_broken: bool = False, instructions: bool = False) -> None:
         """Start at stream offset 0; see `StreamParser`."""
@@ -385,16 +385,16 @@ class PacketParser(StreamParser):
         """Add the next bytes of the stream, and return the completed packets."""
         if not self._buffer and self._is_one_packet(data):  # the usual case
             self._offset += len(data)
-            at = _HEAD if self._instructions else _HEAD + 1
+            at = HEAD if self._instructions else HEAD + 1
             return [Packet(data[4], data[at], bytes(data[at + 1 : -_CRC]), self._offset)]
         return super().feed(data)
 
     def flush(self) -> list[Packet]:
         """Give up an incomplete packet, and return the intact packets inside it."""
         found: list[Packet] = []
-        if self._keep_broken and not self._instructions and self._is_combined() and self.pending > _HEAD + 1:
+        if self._keep_broken and not self._instructions and self._is_combined() and self.pending > HEAD + 1:
             end = self._offset + self.pending
-            found.append(Packet(BROADCAST_ID, self._buffer[_HEAD + 1], bytes(self._buffer[_HEAD + 2 :]), end, intact=False))
+            found.append(Packet(BROADCAST_ID, self._buffer[HEAD + 1], bytes(self._buffer[HEAD + 2 :]), end, intact=False))
         return found + super().flush()
 
     def _is_one_packet(self, data: bytes) -> bool:
@@ -403,8 +403,8 @@ class PacketParser(StreamParser):
         return (
             size >= OVERHEAD - self._instructions
             and data.startswith(HEADER)
-            and (data[_HEAD] != _STATUS) == self._instructions
-            and size - _HEAD == data[5] | data[6] << 8 <= self._max_length
+            and (data[HEAD] != _STATUS) == self._instructions
+            and size - HEAD == data[5] | data[6] << 8 <= self._max_length
             and data.find(_STUFFED, 4) < 0
             and (data[4] <= MAX_ID or data[4] == BROADCAST_ID)
             and crc16(data[4:-2], _HEADER_CRC) == data[-2] | data[-1] << 8
@@ -412,33 +412,33 @@ class PacketParser(StreamParser):
 
     def _size(self) -> int | Dropped | None:
         buffer = self._buffer
-        if len(buffer) < _HEAD:
+        if len(buffer) < HEAD:
             return None
         if not (buffer[4] <= MAX_ID or buffer[4] == BROADCAST_ID):
             return Dropped.NOISE
         length = buffer[5] | buffer[6] << 8
-        size = _HEAD + length
+        size = HEAD + length
         if not 1 + _CRC <= length <= self._max_length:
             return Dropped.LENGTH
-        if len(buffer) > _HEAD and buffer[_HEAD] == _STATUS and length < OVERHEAD - _HEAD:
+        if len(buffer) > HEAD and buffer[HEAD] == _STATUS and length < OVERHEAD - HEAD:
             return Dropped.LENGTH
         # The CRC has no byte stuffing: with the byte before it, it may look like the end of a header.
-        if buffer.find(HEADER, _HEAD - 2, size - 1) >= 0 and not self._is_combined():
+        if buffer.find(HEADER, HEAD - 2, size - 1) >= 0 and not self._is_combined():
             return Dropped.TRUNCATED
         return size
 
     def _is_combined(self) -> bool:
         """Return whether the buffer starts with the response to a fast read."""
-        return len(self._buffer) > _HEAD and self._buffer[4] == BROADCAST_ID and self._buffer[_HEAD] == _STATUS
+        return len(self._buffer) > HEAD and self._buffer[4] == BROADCAST_ID and self._buffer[HEAD] == _STATUS
 
     def _is_intact(self, raw: bytes) -> bool:
         return crc16(raw[4:-2], _HEADER_CRC) == raw[-2] | raw[-1] << 8
 
     def _is_instruction(self, raw: bytes) -> bool:
-        return raw[_HEAD] != _STATUS
+        return raw[HEAD] != _STATUS
 
     def _decode(self, raw: bytes, end: int, *, intact: bool) -> Packet:
-        body = raw[_HEAD:-_CRC]
+        body = raw[HEAD:-_CRC]
         if not (body[0] == _STATUS and raw[4] == BROADCAST_ID):
             body = body.replace(_STUFFED + _STUFFING, _STUFFED)
         if body[0] == _STATUS:

@@ -120,6 +120,7 @@ def _x430(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0
         errors=ALL_OF_PROTOCOL_1 | ServoError.HARDWARE,
         eeprom_needs_torque_off=True,
         sync_read=dynamixel2.sync_read,
+        fast_firmware=x_series.FAST_FIRMWARE,
         gain_stiffness=1.0 / (128.0 * x_series.MAX_PWM * units.tick_rad),
     )
 

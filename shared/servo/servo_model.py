@@ -426,6 +426,7 @@ class ServoModel:
     gain_stiffness: float = 0.0  # [1/rad] share of the stall torque per position error and unit of the position gain
     eeprom_needs_torque_off: bool = False
     sync_read: SyncRead | None = None  # encodes a read of several servos, where the family has it
+    fast_firmware: int | None = None  # firmware from which servos answer a fast sync read; None if none of them does
     masks: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # register name -> bits, and their value
     unlocks: bool = False  # whether writing 0 ends the lock; otherwise only a power cycle does
     feedback: Feedback = Feedback.ALL

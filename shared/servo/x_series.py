@@ -8,6 +8,7 @@ import math
 from sextant.shared.servo.servo_model import ControlTable, Sign, Units, measured, setting
 
 MAX_PWM = 885  # [ticks] of the goal PWM, all of the voltage
+FAST_FIRMWARE = 45  # from which servos answer a fast sync read; older ones are read with a sync read
 CURRENT_A = 0.00269  # [A] per tick of the present current
 UNITS = Units(
     centre=2048,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, PingResponses, Problem
+from sextant.services.actuator.servo_bus.fast_read import FastRead
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
 from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State, state_decoder
 from sextant.services.actuator.servo_bus.serial_port import (
@@ -134,6 +135,7 @@ class ServoBus:
         self._overdue_ns = _OVERDUE_NS
         self._next = 0
         self._singly_until_ns = 0  # [ns] time up to which no request reads several servos
+        self._fast = FastRead(model)
         self._again: list[int] = []  # indices to be read first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
@@ -259,6 +261,7 @@ class ServoBus:
                 f"then try `sextant servos scan`"
             )
         wrong = bus_scan.problems(self.names, seen, self.model)
+        self._fast.set_firmware(min((one.firmware or 0 for one in seen.values() if one.table), default=0))
         for i in self.names.keys() - wrong.keys():
             if words := bus_scan.prepare(self, seen[i], self._lock):
                 wrong[i] = Problem(f"{bus_scan.named(i, self.names)} {words}", "")
@@ -412,17 +415,25 @@ class ServoBus:
         """Read as many servos as fit a time budget with one request, then those again whose answers are missing or doubtful."""
         start = self._clock()
         end = start + budget_ns
-        answer_ns = (self._protocol.OVERHEAD + self._table.state.size) * BYTE_NS
+        state, is_fast = self._table.state, self._fast.is_usable(start) and not self.missed.any()
+        overhead = dynamixel2.ROW_OVERHEAD if is_fast else self._protocol.OVERHEAD
+        answer_ns = (overhead + state.size) * BYTE_NS
         most = max(int((budget_ns - _TYPICAL_NS) // answer_ns) + 1, 1) if budget_ns > 0 else 0
         turn = (*first, *self._again, *((self._next + k) % len(self) for k in range(len(self))))
         asked = [i for i in dict.fromkeys(turn) if not self._is_skipped(i)][:most]
         if not asked:
             return []
         self._next = (asked[-1] + 1) % len(self)
-        ids, state = [self.servo_ids[i] for i in asked], self._table.state
-        answers = self._line.exchange_together(sync_read(state.address, state.size, ids), ids, state.size, start)
+        ids = [self.servo_ids[i] for i in asked]
+        if is_fast:
+            request = dynamixel2.fast_sync_read(state.address, state.size, ids)
+            answers = self._line.exchange_fast(request, ids, state.size, start)
+        else:
+            answers = self._line.exchange_together(sync_read(state.address, state.size, ids), ids, state.size, start)
         done = self._clock()
-        if ids[-1] not in answers:  # whether those behind a silent servo answer is not published
+        if is_fast:
+            self._fast.note(done, complete=len(answers) == len(ids))
+        elif ids[-1] not in answers:  # whether those behind a silent servo answer is not published
             self._singly_until_ns = done + _SINGLY_NS
         taken = {i: self._taken(i, start, answers.get(self.servo_ids[i]), done) for i in asked}
         self._again = []

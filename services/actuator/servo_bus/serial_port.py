@@ -23,6 +23,7 @@ from sextant.services.actuator.servo_bus import i2c_port, usb_adapter
 from sextant.shared.errors import SextantError
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold, limit_of
+from sextant.shared.servo import dynamixel2
 from sextant.shared.servo.servo_model import REFUSAL, Packet, ServoModel
 
 log = logging.getLogger(__name__)
@@ -276,11 +277,44 @@ class SerialLine:
                 break
         if len(found) < len(servo_ids):
             self._keep_answers(self._parser.flush(), servo_ids, size, found)
-        missing = len(servo_ids) - len(found)
+        self._note_missing(len(servo_ids) - len(found))
+        return found
+
+    def exchange_fast(self, request: bytes, servo_ids: Sequence[int], size: int, now_ns: int) -> dict[int, Packet]:
+        """Send a fast sync read to several servos, and return their parts of the common answer, by id.
+
+        A missing part is counted. `now_ns` [ns] is the present time; the parts have `size` bytes of data.
+
+        Raises:
+            BusDisconnectedError: The port is gone.
+        """
+        if self._parser.pending:
+            self._parser.flush()
+        self.send(request, now_ns)
+        sizes = [size] * len(servo_ids)
+        length = dynamixel2.combined_length(sizes)
+        parser, whole, packets = dynamixel2.PacketParser(length, keep_broken=True), dynamixel2.HEAD + length, list[Packet]()
+        deadline = now_ns + whole * BYTE_NS + _UNDERWAY_NS
+        while not packets and (data := self._receive(max(whole - parser.pending, 1))) is not None:
+            packets = parser.feed(data)
+            if self._clock() >= deadline:
+                break
+        packets += parser.flush()
+        self._parser.dropped.update(parser.dropped)
+        combined = [packet for packet in packets if packet.servo_id == dynamixel2.BROADCAST_ID]
+        parts = dynamixel2.split_status(combined[0], sizes) if combined else []
+        found = {part.servo_id: part for part in parts if part.servo_id in servo_ids}
+        if list(found) != [i for i in servo_ids if i in found]:  # an old answer: servos answer in turn
+            self.lost[Lost.STRANGER] += len(found)
+            found = {}
+        self._note_missing(len(servo_ids) - len(found))
+        return found
+
+    def _note_missing(self, missing: int) -> None:
+        """Count answers that are missing; their bytes may still arrive."""
         if missing:
             self.lost[Lost.TIMEOUT] += missing
             self._stale, self._settled_ns = True, self._clock() + _SETTLES_NS
-        return found
 
     def _keep_answers(self, packets: Iterable[Packet], servo_ids: Sequence[int], size: int, found: dict[int, Packet]) -> None:
         """Add answers with `size` parameters of servos that were asked.

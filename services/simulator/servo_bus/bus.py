@@ -260,7 +260,7 @@ class ServoBusEmulator(AnswersOnly):
             rows = list(itertools.takewhile(len, rows))
         if request.kind is Kind.SYNC_READ:
             return self._answer([row for those in rows for row in those], time_ns, ServoError.NONE, read=read)
-        heard = list(itertools.takewhile(len, rows))
+        heard = list(itertools.takewhile(lambda those: len(those) and self._knows_fast_read(those[0]), rows))
         parts = [
             (self._value(row, self._registers.id), self._error_code(row), self._table(row, *read, at_ns=time_ns))
             for row, *_ in heard
@@ -274,6 +274,11 @@ class ServoBusEmulator(AnswersOnly):
         self._answered_ns = max(time_ns, self._answered_ns) + self._timing.wire_ns(len(said))
         self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
         return [Reply(self._answered_ns + self._timing.usb_transaction_ns, said, self._protocol.BROADCAST_ID)]
+
+    def _knows_fast_read(self, row: int) -> bool:
+        """Return whether the firmware of a servo has the fast sync read."""
+        since = self._model.fast_firmware
+        return since is not None and self._value(row, self._registers.firmware) >= since
 
     def _reboot(self, rows: list[int], time_ns: int) -> None:
         """Restart servos: their RAM has factory values, no error is latched, and they are silent for some time."""
