@@ -39,7 +39,7 @@ def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> No
         ("XL430-W250", "flat", 0.4),
         *(
             pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.campaign)
-            for name in ("AX-12A", "MX-28", "XL430-W250", "STS3215")  # XL-320 and XM430-W350 fail: docs/firmware.md
+            for name in ("AX-12A", "MX-28", "XL430-W250", "XM430-W350", "STS3215")  # XL-320 fails: docs/firmware.md
         ),
     ],
 )

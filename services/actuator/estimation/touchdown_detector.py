@@ -148,7 +148,8 @@ class TouchdownDetector:
         """Return a femur's motor torque [N m] when the torque balance holds.
 
         A servo read right after new goals may not have received them yet; its spring torque shows which goal it follows. A
-        reading of a microcontroller in the first half of a period is converted to the mean goal since the reading before.
+        reading of a microcontroller in the first half of a period, or before new goals, is converted to the mean goal since the
+        reading before.
         """
         servo, goal = self._profile.servo, self._goal[leg]
         since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), self.period_ns)
@@ -161,8 +162,9 @@ class TouchdownDetector:
         ):
             since_ns, goal, new = since_ns + self.period_ns, before, old
         delay_ns = since_ns - _BALANCE * self.period_ns
-        if self.bridged and _TRANSMISSION_NS <= since_ns < _EARLY * self.period_ns:
-            goal, delay_ns = before + (goal - before) * since_ns / self.period_ns, 0.5 * self.period_ns
+        if self.bridged and not _EARLY * self.period_ns <= since_ns <= self.period_ns:
+            share = min(since_ns / self.period_ns, 1.0)
+            goal, delay_ns = before + (goal - before) * share, 0.5 * self.period_ns
         then = _spring_torque(servo, goal, femur.angle - femur.speed * delay_ns * 1e-9)
         return femur.load + then - new
 

@@ -17,9 +17,11 @@ from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.services.simulator.physics.world import World
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_inverse, link_torques
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scenario import Goal, Plane, Scenario
 from sextant.shared.servo import dynamixel as dxl
+from tests.support.families import robot_with
 
 PROFILE = load_profile("phantomx_mk2")
 SERVO = PROFILE.servo
@@ -51,24 +53,29 @@ def swing(
     told: float = 0.3,
     coarse: bool = False,
     period_ns: int = PERIOD,
+    bridged: RobotProfile | None = None,
+    transmission_ms: float = 0.0,
 ) -> Swing:
     """Run the detector while one femur follows goals (n,) [rad].
 
     The servo model is the simulator's: a damped spring to the goal with dry friction, a leg and an armature. From the middle
     of the motion, ground as hard as stone lies below a femur angle [rad]. Readings are taken at the start of each cycle and
-    goals are sent after the share `told` of it. A coarse servo counts in ticks and has a compliance margin of one tick.
+    goals are sent after the share `told` of it. A coarse servo counts in ticks and has a compliance margin of one tick. A
+    robot `bridged` has its servos behind a microcontroller, and they receive goals some time after they were sent.
     """
+    profile, servo = bridged or PROFILE, (bridged or PROFILE).servo
     tick = dxl.TICK_RAD if coarse else 1e-9
     goals = np.round(goals / tick) * tick
-    feeler = TouchdownDetector(PROFILE)
-    feeler.period_ns = period_ns
-    inertia = feeler._inertia + (armature - 1.0) * SERVO.armature
+    feeler = TouchdownDetector(profile)
+    feeler.period_ns, feeler.bridged = period_ns, bridged is not None
+    inertia = feeler._inertia + (armature - 1.0) * servo.armature
     q, angle, speed, load, met = Q.copy(), float(goals[0]), 0.0, 0.0, -1
     touches, pushes = list[bool](), list[float]()
     steps = STEPS * period_ns // PERIOD
     dt = period_ns * 1e-9 / steps
+    taken = told + transmission_ms * 1e6 / period_ns
     for cycle, goal in enumerate(goals):
-        before = goals[max(cycle - 1, 0)]
+        earliest, before = goals[max(cycle - 2, 0)], goals[max(cycle - 1, 0)]
         seen = round(angle / tick) * tick
         q[LEG, FEMUR] = seen
         q_goal = q.copy()
@@ -77,16 +84,16 @@ def swing(
         feeler.add_reading(LEG, FemurReading(seen, speed, load, cycle * period_ns, round((cycle - 1 + told) * period_ns)))
         touches.append(bool(feeler.touches[LEG]))
         pushes.append(float(feeler.push[LEG]))
-        held = link_torques(PROFILE, q)[LEG, FEMUR]
+        held = link_torques(profile, q)[LEG, FEMUR]
         for step in range(steps):
-            written = before if step < told * steps else goal
+            written = earliest if step < (taken - 1.0) * steps else before if step < taken * steps else goal
             left = np.sign(written - angle) * max(abs(written - angle) - tick, 0.0)
-            load = float(np.clip(SERVO.stiffness * left, -SERVO.stall_torque, SERVO.stall_torque))
+            load = float(np.clip(servo.stiffness * left, -servo.stall_torque, servo.stall_torque))
             sunk = max(ground - angle, 0.0) if cycle > len(goals) / 2 else 0.0
             if sunk and met < 0:
                 met = cycle
-            torque = load - held + 400.0 * sunk - SERVO.friction * np.tanh(speed / 0.02)
-            speed = (speed + dt * torque / inertia) / (1.0 + dt * (SERVO.damping + 4.0 * (sunk > 0)) / inertia)
+            torque = load - held + 400.0 * sunk - servo.friction * np.tanh(speed / 0.02)
+            speed = (speed + dt * torque / inertia) / (1.0 + dt * (servo.damping + 4.0 * (sunk > 0)) / inertia)
             angle += dt * speed
     return Swing(touches, pushes, met)
 
@@ -109,6 +116,19 @@ def test_free_motion_gives_no_contact_at_any_goal_delay(height: float, cycles: i
 def test_quantization_and_compliance_margin_give_no_contact(told: float) -> None:
     for height, cycles in ((0.2, 40), (0.4, 34), (0.6, 34)):
         assert not any(swing(stroke(height, cycles), told=told, coarse=True).touches)
+
+
+@pytest.mark.parametrize("since_ms", [3, 4, 6, 8, 10, 12])
+@pytest.mark.parametrize("model", ["AX-12A", "XL430-W250", "XM430-W350", "STS3215"])
+@pytest.mark.parametrize("transmission_ms", [2.5, 3.5])
+def test_bridge_detects_ground_and_nothing_else_at_any_reading_delay(model: str, since_ms: int, transmission_ms: float) -> None:
+    """Check readings that come soon after the servos have received new goals, or just before."""
+    goals, told, robot = stroke(0.5, 34), 1.0 - since_ms / 20, robot_with(model)
+    free = swing(goals, told=told, bridged=robot, transmission_ms=transmission_ms)
+    assert np.abs(free.pushes).max() < 1.5
+    ground = float(Q[LEG, FEMUR]) + 0.2
+    found = swing(goals, ground=ground, told=told, bridged=robot, transmission_ms=transmission_ms)
+    assert found.touches.index(True) - found.met in (1, 2, 3)
 
 
 @pytest.mark.parametrize("period_ms", [20, 30, 40])
