@@ -114,6 +114,8 @@ RUN_BY = {
     "benchmarks servos": "tests/unit/benchmarks/test_bench_servos.py::test_servos_command_writes_figures",
     "servos set-id": "tests/test_commissioning.py::test_commissioning_tutorial_runs_as_written",
     "servos scan": "tests/unit/deploy/test_pulse_servos_command.py::test_scan_lists_channels_and_says_that_nothing_is_measured",
+    "servos centre": "tests/unit/deploy/test_pulse_servos_command.py::"
+    "test_one_channel_is_sent_to_its_middle_and_has_no_pulses_afterwards",
     "servos emulate": "tests/test_commissioning.py::test_commissioning_tutorial_runs_as_written",
     "doctor": "tests/unit/deploy/test_cli.py::test_doctor_exit_code_follows_failed_checks",
 }

@@ -51,6 +51,22 @@ def set_id() -> int:
     return FAILED
 
 
+def centre(port: str, profile: "RobotProfile", channel: int, operator: "Operator") -> bool:
+    """Send one servo to its middle until the operator has screwed its horn on."""
+    from sextant.services.actuator.commissioning import pulse_commissioning
+
+    with _board(port, profile) as board:
+        return pulse_commissioning.centre(board, profile, channel, operator)
+
+
+def find(port: str, profile: "RobotProfile", channel: int, operator: "Operator") -> bool:
+    """Turn one servo to and fro."""
+    from sextant.services.actuator.commissioning import pulse_commissioning
+
+    with _board(port, profile) as board:
+        return pulse_commissioning.wiggle(board, profile, channel, operator, time.sleep)
+
+
 def calibrate(
     port: str,
     profile: "RobotProfile",

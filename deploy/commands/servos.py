@@ -5,7 +5,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import date
@@ -15,11 +15,14 @@ from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options, pulse_servos
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
-from sextant.deploy.terminal.arguments import Choice, Group, Parsed, flag, number, option, options_of
+from sextant.deploy.commands.operator_questions import Terminal
+from sextant.deploy.terminal.arguments import Choice, Group, Parsed, argument, flag, number, option, options_of, whole
 from sextant.deploy.terminal.interrupts import Interrupts
 
 if TYPE_CHECKING:
-    from sextant.services.actuator.commissioning.set_ids import Found, Line
+    from collections.abc import Callable
+
+    from sextant.services.actuator.commissioning.set_ids import Found, Line, Operator
     from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.services.actuator.servo_bus.bus_scan import Problem
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
@@ -33,7 +36,7 @@ _NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulate
 _NOBODY_SAYS = "torque off is not confirmed: if the legs do not give way, switch the servos' power off"
 _LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 
-servos = Group("servos", "Scan, set ids, calibrate, test, emulate servos, or turn torque off.")
+servos = Group("servos", "Scan, centre, set ids, calibrate, test, emulate servos, or turn torque off.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,61 +53,35 @@ class Bus:
         return "://" in self.port
 
 
-_of_bus = options_of(
-    Bus,
-    "bus",
-    options.robot,
-    option("--port", "serial device, or socket://host:port", "PORT", default="/dev/ttyUSB0"),
-    flag("--echo", "the adapter returns every sent byte, as some half-duplex adapters do"),
-)
+_port = option("--port", "serial device, or socket://host:port", "PORT", default="/dev/ttyUSB0")
+_echo = flag("--echo", "the adapter returns every sent byte, as some half-duplex adapters do")
+_of_bus = options_of(Bus, "bus", options.robot, _port, _echo)
 _leg = option("--leg", "only this leg, e.g. 'left front'; repeatable", "LEG", into="legs", multiple=True, type=Choice(_LEGS))
 _yes = flag("--yes", "for scripts: ask no question, assume yes")
 
 
-class Terminal:
-    """The operator at the terminal; with `yes` every question has its default answer."""
+@dataclass(frozen=True, slots=True)
+class _One:
+    """One servo at a port, which tells its model unless a robot or a model is given."""
 
-    def __init__(self, yes: bool = False) -> None:
-        """Initialise without a question."""
-        self._yes = yes
-
-    @property
-    def absent(self) -> bool:
-        """Whether no operator is present."""
-        return self._yes
-
-    def say(self, text: str) -> None:
-        """Print a line."""
-        say(text)
-
-    def ask(self, question: str) -> str:
-        """Ask a question and return the typed answer; empty with `yes`."""
-        if not self._yes:
-            _forget_typed_ahead()  # before the question, so that an answer to it counts at once
-        sys.stdout.write(question)
-        if self._yes:
-            say("")
-            return ""
-        sys.stdout.flush()
-        line = sys.stdin.readline()
-        if not line:
-            raise InputError("an answer expected, found the end of the input; in a script, give --yes to calibrate and test")
-        return line.strip()
-
-    def agree(self, question: str) -> bool:
-        """Ask a question; return whether y or yes was typed, True with `yes`."""
-        if self._yes:
-            say(f"{question} yes (--yes)")
-            return True
-        return self.ask(f"{question} [y/N] ").lower() in ("y", "yes")
+    servo_id: int
+    robot: str | None
+    servo: str | None
+    port: str
+    echo: bool
+    yes: bool
 
 
-def _forget_typed_ahead() -> None:
-    """Drop what was typed before a question: it does not answer this one."""
-    if sys.stdin.isatty():
-        import termios
-
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+_of_one = options_of(
+    _One,
+    "one",
+    argument("servo_id", "id of the servo; channel of a hobby servo", "ID", type=whole(0, 253)),
+    option("--robot", "profile by name, or path of a TOML file; hobby servos need one (default: none)", "NAME"),
+    option("--servo", "model of the servo, by its name in docs/servos.md (default: as it tells)", "MODEL"),
+    _port,
+    _echo,
+    _yes,
+)
 
 
 @servos.command("scan")
@@ -145,6 +122,61 @@ def scan(bus: Bus, ids: range | None, all_rates: bool, as_json: bool) -> int:
         which = f"all {count} servos of {profile.name}"
         say(f"{which} are in order" if asked == count else f"{asked} of {which} were scanned and are in order")
     return FAILED if wrong else SUCCESS
+
+
+@servos.command("find")
+@_of_one
+def find(one: _One) -> int:
+    """Turn one servo to and fro by 8 deg, to see which one it is.
+
+    It turns slowly and with low torque, and is without torque afterwards. No other servo moves.
+    """
+    from sextant.services.actuator.commissioning import single_servo
+
+    return _turn(one, single_servo.wiggle, pulse_servos.find)
+
+
+@servos.command("centre")
+@_of_one
+def centre(one: _One) -> int:
+    """Turn one servo to its middle, and hold it there while its horn is screwed on.
+
+    It turns slowly and with low torque. Enter or Ctrl-C turns its torque off. No other servo moves.
+    """
+    from sextant.services.actuator.commissioning import single_servo
+
+    return _turn(one, single_servo.centre, pulse_servos.centre)
+
+
+def _turn(
+    one: _One,
+    of_bus: "Callable[[ServoBus, int, Operator, Callable[[], int]], bool]",
+    of_board: "Callable[[str, RobotProfile, int, Operator], bool]",
+) -> int:
+    """Turn one servo on a bus, or one behind a board that sends pulses."""
+    from sextant.services.actuator.commissioning.single_servo import identify
+    from sextant.services.actuator.servo_bus.triage import Opener
+    from sextant.shared.robot.servo_proposal import unknown_model
+    from sextant.shared.servo.models import MODEL_NAMED
+
+    if one.robot and one.servo:
+        raise InputError("one of --robot and --servo expected, found both: the profile of a robot has the model of its servos")
+    if one.servo and one.servo not in MODEL_NAMED:
+        raise InputError(f"--servo: {unknown_model(one.servo)}; hobby servos need --robot, whose profile names their board")
+    profile = _profile(one.robot) if one.robot else None
+    if profile is not None and profile.servo.pulses is not None:
+        if one.servo_id not in profile.servo_names:
+            raise InputError(f"a channel of {profile.name} expected, {min(profile.servo_names)} to {max(profile.servo_names)}")
+        with _ended_once():
+            return SUCCESS if of_board(one.port, profile, one.servo_id, Terminal(one.yes)) else FAILED
+    bus = Bus(one.robot or "", one.port, one.echo)
+    names = {one.servo_id: profile.servo_names.get(one.servo_id, "") if profile else ""}
+    wanted = profile.servo_model if profile else MODEL_NAMED.get(one.servo or "")
+    with _ended_once():
+        opener = Opener(lambda rate, model: _open_ids(bus, names, model, rate), one.port, not bus.networked)
+        found = identify(opener, one.servo_id, wanted)
+        with closing(opener.open(found.rate, found.model)) as opened:
+            return SUCCESS if of_bus(opened, one.servo_id, Terminal(one.yes), time.monotonic_ns) else FAILED
 
 
 @servos.command("off")
@@ -397,11 +429,15 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "Se
     Raises:
         BusDisconnectedError: The port cannot be opened.
     """
+    model = model or profile.servo_model
+    return _open_ids(bus, profile.servo_names, model, rate or model.bus_rate)
+
+
+def _open_ids(bus: Bus, names: "Mapping[int, str]", model: "ServoModel", rate: int) -> "ServoBus":
+    """Open servos of a model by their ids; raises BusDisconnectedError."""
     from sextant.services.actuator.servo_bus.bus_driver import open_port
     from sextant.services.actuator.servo_bus.command_bus import bus_of
 
-    names, model = profile.servo_names, model or profile.servo_model
-    rate = rate or model.bus_rate
     patience = _NETWORK_PATIENCE_NS if bus.networked else patience_ns(rate)
     return bus_of(model)(
         open_port(bus.port, rate, patience),

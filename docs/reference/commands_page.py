@@ -24,7 +24,8 @@ _OF_SEXTANT = (  # end of a page's name, its title and its commands
     ("robot", "operation of a robot", ("up", "fleet", "order", "drive", "service", "doctor")),
     ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
     ("network", "topics and certificates", ("keys", "topics")),
-    ("hardware", "servos, camera and robot profiles", ("robot", "servos", "camera")),
+    ("servos", "servos", ("servos",)),
+    ("hardware", "camera and robot profiles", ("robot", "camera")),
 )
 _BENCHMARKS = """# Benchmarks
 

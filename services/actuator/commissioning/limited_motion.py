@@ -18,7 +18,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import Register, ServoModel
 
 TORQUE_SHARE = 0.3  # [1] of the stall torque; it lifts a leg in the air, and a finger can stop it
-_SPEED_RAD_S = np.radians(20.0)
+SPEED_RAD_S = np.radians(20.0)
 _NOT_RESTORED = (
     "its torque was being turned off and its registers restored; turn torque off with `sextant servos off`, "
     "then switch its power off and on again"
@@ -70,10 +70,15 @@ def torque_words(model: ServoModel) -> str:
 
 
 @contextmanager
-def limited_motion(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
+def limited_motion(bus: ServoBus, servo_ids: Sequence[int], *, others: bool = True) -> Iterator[None]:
     """Limit torque and speed of servos, as far as their model can; turn torque off and restore at the end.
 
     The servos must be without torque.
+
+    Args:
+        bus: The servos.
+        servo_ids: Those that are limited.
+        others: Turn the torque of all others on the bus off, too.
     """
     table, units = bus.model.table, bus.model.units
     limits = [r for r in (table.goal_speed, table.torque_limit) if bus.model.has(r) or r is table.goal_speed]
@@ -83,19 +88,20 @@ def limited_motion(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
         for i in servo_ids:
             if bus.model.has(table.torque_limit):
                 put(bus, i, table.torque_limit, round(TORQUE_SHARE / units.torque))
-            put(bus, i, table.goal_speed, max(round(_SPEED_RAD_S / units.speed_rad_s), 1))
+            put(bus, i, table.goal_speed, max(round(SPEED_RAD_S / units.speed_rad_s), 1))
         yield
     finally:
         try:
-            _restore(bus, again)
+            _restore(bus, again, others)
         except KeyboardInterrupt:  # interrupted here; a command raises it only once
-            _restore(bus, again)
+            _restore(bus, again, others)
             raise
 
 
-def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int]) -> None:
-    """Broadcast torque off to all servos, and restore registers."""
-    bus.set_torque(False)
+def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int], others: bool) -> None:
+    """Turn torque off, with `others` by a broadcast to all servos, and restore registers."""
+    if others:
+        bus.set_torque(False)
     left = [i for (i, register), value in registers.items() if not took(bus, i, register, value)]
     if left:
         raise silent(bus, left[0], _NOT_RESTORED)

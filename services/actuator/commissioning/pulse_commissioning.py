@@ -4,7 +4,8 @@ The servos measure nothing. A joint with pulses jumps to them, so only one joint
 before.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import date
 from typing import NamedTuple
 
@@ -20,7 +21,10 @@ NO_FEEDBACK = "no feedback: the angles of the joints are assumed; touch, load, h
 SET_ID = "hobby servos have no id: connect each to the channel of its joint, or state its channel in servo_ids of the profile"
 _PATIENCE_NS = 50_000_000  # [ns] to wait for an answer of the board
 STEP_DEG = 6.0  # of the joint test
+WIGGLE_DEG = 8.0
+_WIGGLES = 3
 _LARGEST_STEP_DEG = 5.0  # of one typed change of a pulse
+_OFF_ATTEMPTS = 3
 _STEPS = 40  # in which a test turns a joint
 
 
@@ -63,6 +67,46 @@ def in_words(found: Sequence[Channel]) -> str:
         + (f"{one.width_us:6.1f} us  {one.angle_deg:+6.1f} deg" if one.width_us else "no pulses")
         for one in found
     )
+
+
+def centre(servos: PwmServos, profile: RobotProfile, channel: int, operator: Operator) -> bool:
+    """Send one servo to its middle until the operator presses Enter; return whether it was moved.
+
+    Raises:
+        BusSetupError: The board does not answer.
+        BusDisconnectedError: The port is gone.
+    """
+    with _one(servos, profile, channel, operator, "at full speed") as name:
+        if name:
+            operator.ask(f"{name} holds its middle. Screw its horn on, then press Enter to end its pulses: ")
+        return bool(name)
+
+
+def wiggle(servos: PwmServos, profile: RobotProfile, channel: int, operator: Operator, pause: Callable[[float], None]) -> bool:
+    """Turn one servo to and fro about its middle; return whether it was moved. Errors are those of `centre`."""
+    then = f"at full speed, then turns to and fro by {WIGGLE_DEG:g} deg"
+    with _one(servos, profile, channel, operator, then) as name:
+        for phase in np.linspace(0.0, 2.0 * np.pi * _WIGGLES, _WIGGLES * _STEPS) if name else ():
+            _send(servos, channel, WIGGLE_DEG * float(np.sin(phase)))
+            pause(0.02)
+        return bool(name)
+
+
+@contextmanager
+def _one(servos: PwmServos, profile: RobotProfile, channel: int, operator: Operator, how: str) -> Iterator[str]:
+    """Send one servo to its middle if the operator agrees, give its name or else nothing, and end its pulses."""
+    servos.setup()
+    name = f"channel {channel} ({profile.servo_names[channel]})"
+    if not operator.agree(f"{name} jumps to its middle, {how}. Can its shaft turn freely?"):
+        operator.say("nothing was moved")
+        yield ""
+        return
+    try:
+        _send(servos, channel, 0.0)
+        yield name
+    finally:
+        off = any(servos.write(channel, servos.model.table.torque_enable, 0) for _ in range(_OFF_ATTEMPTS))
+        operator.say("its pulses have ended" if off else "the board does not confirm their end: switch the servos' power off")
 
 
 def calibrate(

@@ -71,3 +71,16 @@ def test_only_listed_commands_of_the_bench_are_taken(bench: PulseBench) -> None:
         bench.execute("plug")
     with pytest.raises(ValueError, match="a robot with hobby servos expected"):
         PulseBench(load_profile("phantomx_mk2"))
+
+
+@pytest.mark.parametrize("command", ["centre", "find"])
+def test_one_channel_is_sent_to_its_middle_and_has_no_pulses_afterwards(
+    url: str, bench: PulseBench, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sextant.deploy.commands.pulse_servos.time.sleep", lambda _: None)
+    assert cli.main(["servos", command, "4", "--yes", "--port", url, *ROBOT]) == 0
+    told = capsys.readouterr().out
+    assert "channel 4 (right front femur) jumps to its middle, at full speed" in told
+    assert told.endswith("its pulses have ended\n")
+    assert cli.main(["servos", "scan", "--port", url, *ROBOT]) == 0  # time goes on: the written data arrive
+    assert bench.execute("list") == "0 of 18 servos have pulses: none"

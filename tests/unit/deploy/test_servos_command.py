@@ -381,3 +381,32 @@ def test_slow_rates_have_time_for_the_longest_answer() -> None:
     assert servos.patience_ns(57_600) * 1e-9 > answer + 0.016 + 0.001
     assert servos.patience_ns(9_600) > servos.patience_ns(57_600) > servos.patience_ns(1_000_000) > servos.PATIENCE_NS
     assert servos.patience_ns(1_000_000) - servos.PATIENCE_NS < 2_000_000
+
+
+@pytest.mark.parametrize("robot", [[], ["--robot", "phantomx_mk2"], ["--servo", "AX-12A"]])
+@pytest.mark.parametrize("command", ["centre", "find"])
+def test_one_servo_is_turned_without_a_profile_or_with_one(
+    bench: BenchEmulator, url: str, robot: list[str], command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["servos", command, "7", "--yes", "--port", url, *robot]) == 0
+    told = capsys.readouterr().out
+    assert f"servo 7{' (left rear coxa)' if '--robot' in robot else ''}, AX-12A" in told
+    assert told.endswith("torque is off\n")
+    assert cli.main(["servos", "scan", "--port", url, "--ids", "1:2"]) == 0  # time goes on: the written data arrive
+    assert not bench._servos.tables[:, dxl.TORQUE_ENABLE.address].any()
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["centre", "7", "--servo", "AX-12A", "--robot", "phantomx_mk2"], "one of --robot and --servo expected, found both"),
+        (["centre", "7", "--servo", "MG996R"], "hobby servos need --robot, whose profile names their board"),
+        (["centre", "27", "--robot", "printed_ds3218"], "a channel of printed_ds3218 expected, 0 to 17"),
+        (["find", "254"], "254"),
+    ],
+)
+def test_servo_that_cannot_be_meant_is_refused(
+    url: str, words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["servos", *words, "--port", url]) == 2
+    assert hint in capsys.readouterr().err

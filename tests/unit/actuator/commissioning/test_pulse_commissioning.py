@@ -1,5 +1,6 @@
 """Commissioning of hobby servos on an emulated board, with a scripted operator."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import date
 
@@ -122,3 +123,35 @@ def test_torque_off_is_confirmed_by_the_board(rig: Rig) -> None:
     assert rig.with_pulses == ["right front coxa"]
     assert torque_off(rig.servos) == {}
     assert rig.with_pulses == []
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_centre_sends_pulses_of_the_middle_to_one_channel_until_enter(rig: Rig, interrupted: bool) -> None:
+    class Watching(Operator):
+        def ask(self, question: str) -> str:
+            (one,) = (one for one in pulse_commissioning.channels(rig.servos, rig.profile) if one.width_us)
+            assert (one.number, one.angle_deg) == (4, pytest.approx(0.0, abs=0.5))
+            if interrupted:
+                raise KeyboardInterrupt
+            return super().ask(question)
+
+    operator = Watching()
+    with pytest.raises(KeyboardInterrupt) if interrupted else nullcontext():
+        assert pulse_commissioning.centre(rig.servos, rig.profile, 4, operator)
+    assert rig.with_pulses == []
+    assert operator.told[-1] == "its pulses have ended"
+
+
+def test_one_servo_wiggles_about_its_middle_and_others_keep_their_pulses(rig: Rig) -> None:
+    rig.servos.setup()
+    rig.servos.write(9, rig.servos.model.table.torque_enable, 1)
+    angles = list[float]()
+
+    def pause(seconds: float) -> None:
+        rig.pause(seconds)
+        angles.append(pulse_commissioning.channels(rig.servos, rig.profile)[4].angle_deg)
+
+    assert pulse_commissioning.wiggle(rig.servos, rig.profile, 4, Operator(), pause)
+    assert [min(angles), max(angles)] == pytest.approx([-8.0, 8.0], abs=0.8)
+    assert rig.with_pulses == [rig.profile.servo_names[9]]
+    assert not pulse_commissioning.wiggle(rig.servos, rig.profile, 4, Operator(agrees=False), pause)
