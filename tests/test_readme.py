@@ -54,6 +54,8 @@ RUN_BY = {
     "trials --set": "tests/walk/test_tutorials.py::test_course_and_rule_of_tutorials_walk",
     "trials --gait": "tests/unit/deploy/test_cli.py::test_robot_and_gait_options_override_scenario",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_report_success_rate_and_blind_baseline",
+    "trials --cluster": "tests/unit/evaluation/trials/test_cluster.py::test_trials_command_runs_on_a_cluster",
+    "trials all --cluster": "tests/unit/evaluation/trials/test_cluster.py::test_campaign_on_a_cluster_survives_a_killed_worker",
     "trials all --blind": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_passage_and_thesis_tables",
@@ -126,6 +128,7 @@ MODULES = {
 }
 _PREFIX = re.compile(r"[A-Z_]+=.*|time")  # of a command: variables, and the shell's stopwatch
 NOT_RUN = {
+    "dask": "it serves until it is stopped; tests/unit/evaluation/trials/test_cluster.py starts the same scheduler and workers",
     "pip": "it needs a package index",
     "npm": "it needs a package index",
     "mpremote": "it needs a board",
@@ -151,7 +154,19 @@ def way_of_running(words: list[str]) -> str:
     ways = [
         word
         for word in dict.fromkeys(words)
-        if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge", "--live", "--set", "--foothold")
+        if word
+        in (
+            "--lockstep",
+            "--connect",
+            "--blind",
+            "--camera",
+            "--gait",
+            "--bridge",
+            "--live",
+            "--set",
+            "--foothold",
+            "--cluster",
+        )
     ]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)

@@ -19,7 +19,7 @@ from benchmarks.faults.lockstep_walk import FaultWalk
 from benchmarks.faults.walk_verdict import Outcome, score
 from sextant.evaluation import provenance
 from sextant.evaluation.trials import results_store
-from sextant.evaluation.trials.trials import fingerprint, refuse_another_program
+from sextant.evaluation.trials.environment import fingerprint, refuse_another_program
 from sextant.shared.files import whole_files
 from sextant.shared.files.input_file import FileError, parse_json, read_bytes
 from sextant.shared.runtime.workers import share_out

@@ -1,15 +1,79 @@
 """`sextant trials`: many seeds of one scenario or of all, and result tables."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say, say_if_it_compiles
-from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, option
+from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, option, options_of
 from sextant.deploy.terminal.interrupts import explained_interrupts
 from sextant.shared.files import whole_files
 
+if TYPE_CHECKING:
+    from sextant.evaluation.trials.cluster import Cluster
+
 _GROUPS = ("all", "passages", "troubles", "mild", "usual", "harsh")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Workers, output folder and format of trials."""
+
+    jobs: int
+    cluster: str
+    out: str | None
+    as_json: bool
+
+    def check(self) -> None:
+        """Check the cluster's address, and that Dask is installed.
+
+        Raises:
+            InputError: It is no address, or jobs are given too.
+        """
+        if not self.cluster:
+            return
+        if self.jobs != 1:
+            raise InputError("one of --jobs and --cluster expected, found both; local:N starts N workers")
+        from sextant.evaluation.trials.cluster import checked_address
+
+        try:
+            checked_address(self.cluster)
+        except ValueError as error:
+            raise InputError(f"--cluster: {error}") from None
+        import distributed  # noqa: F401 - its absence is reported before anything else happens
+
+    @contextlib.contextmanager
+    def workers(self, say: Callable[[str], None]) -> "Iterator[Cluster | None]":
+        """Open the cluster, if an address is given.
+
+        Raises:
+            ClusterError: There is no such cluster.
+        """
+        if not self.cluster:
+            yield None
+            return
+        from sextant.evaluation.trials.cluster import open_cluster
+
+        with open_cluster(self.cluster, say) as cluster:
+            yield cluster
+
+
+place = options_of(
+    Place,
+    "place",
+    options.jobs,
+    option(
+        "--cluster",
+        "Dask scheduler whose workers run the trials, e.g. tcp://10.0.0.1:8786; or local:N for N workers on this machine",
+        "ADDRESS",
+        default="",
+    ),
+    option("--out", "folder to write to; seeds stored there are not run again", "DIR"),
+    options.as_json,
+)
 
 
 @command()
@@ -25,34 +89,31 @@ _GROUPS = ("all", "passages", "troubles", "mild", "usual", "harsh")
     required=True,
 )
 @flag("--blind", "also run the baseline without a map, and compare")
-@options.jobs
-@option("--out", "folder to write to; seeds stored there are not run again", "DIR")
-@options.as_json
-def trials(
-    scenario: str, variant: options.Variant, seeds: Sequence[int], blind: bool, jobs: int, out: str | None, as_json: bool
-) -> int:
+@place
+def trials(scenario: str, variant: options.Variant, seeds: Sequence[int], blind: bool, place: Place) -> int:
     """Run a scenario in lockstep with many seeds: success rate with 95 % interval.
 
     `sextant trials table` prints tables of stored trials without running anything; see `sextant trials table --help`.
     """
+    place.check()
     if scenario in _GROUPS:
-        return _campaign(scenario, variant, seeds, blind, jobs, out, as_json)
+        return _campaign(scenario, variant, seeds, blind, place)
     course = variant.load(scenario)
-    folder = out_folder(out, f"trials-{course.name}")
+    folder = out_folder(place.out, f"trials-{course.name}")
     from sextant.evaluation.trials import trials as batches
 
-    progress = open_progress(as_json)
-    say_if_it_compiles(progress)
+    hear = open_progress(place.as_json)
+    say_if_it_compiles(hear)
     baseline = None
-    with explained_interrupts(lambda: _kept(folder, "trials.jsonl")):
-        seeing = batches.run_trials(course, seeds, jobs, folder, say=progress.say)
+    with explained_interrupts(lambda: _kept(folder, "trials.jsonl")), place.workers(hear.say) as cluster:
+        seeing = batches.run_trials(course, seeds, place.jobs, folder, say=hear.say, cluster=cluster)
         if blind:
-            progress.say("now the same seeds without a map")
-            baseline = batches.run_trials(course, seeds, jobs, folder, blind=True, say=progress.say)
+            hear.say("now the same seeds without a map")
+            baseline = batches.run_trials(course, seeds, place.jobs, folder, blind=True, say=hear.say, cluster=cluster)
     text = batches.to_json(seeing, baseline)
-    say(text.rstrip("\n") if as_json else batches.words(seeing, baseline))
+    say(text.rstrip("\n") if place.as_json else batches.words(seeing, baseline))
     whole_files.write_text(folder / "trials.json", text, durable=True)
-    if not as_json:
+    if not place.as_json:
         say(f"written to {folder}: trials.json, trials.jsonl")
     return SUCCESS
 
@@ -66,9 +127,7 @@ def _kept(folder: Path, name: str) -> str:
     return f"{count} walks are kept in {path}; the same command with --out {folder} goes on with the seeds that are left"
 
 
-def _campaign(
-    group: str, variant: options.Variant, seeds: Sequence[int], blind: bool, jobs: int, out: str | None, as_json: bool
-) -> int:
+def _campaign(group: str, variant: options.Variant, seeds: Sequence[int], blind: bool, place: Place) -> int:
     """Run a group of scenarios, and print one table of all of them."""
     from sextant.evaluation.trials import campaign_table as tables
     from sextant.evaluation.trials import results_store
@@ -76,17 +135,17 @@ def _campaign(
     from sextant.evaluation.trials.passage_table import markdown as sections
 
     passages = group == "passages"
-    folder = out_folder(out, f"trials-{group}")
-    hear = open_progress(as_json).say
+    folder = out_folder(place.out, f"trials-{group}")
+    hear = open_progress(place.as_json).say
     courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED, **tables.LEVELS}[group]
     table = "passages" if passages else "walks"
-    with explained_interrupts(lambda: _kept(folder, "campaign.jsonl")):
-        found = run_campaign(courses, seeds, jobs, folder, blind, variant.applied(), hear, table=table)
-    say(tables.to_json(found).rstrip("\n") if as_json else tables.markdown(found, table))
-    if passages and not as_json:
+    with explained_interrupts(lambda: _kept(folder, "campaign.jsonl")), place.workers(hear) as cluster:
+        found = run_campaign(courses, seeds, place.jobs, folder, blind, variant.applied(), hear, table=table, cluster=cluster)
+    say(tables.to_json(found).rstrip("\n") if place.as_json else tables.markdown(found, table))
+    if passages and not place.as_json:
         say(sections(results_store.read(folder / "campaign.jsonl")))
     tables.write(found, folder, table)
-    if not as_json:
+    if not place.as_json:
         say(f"written to {folder}: table.md, campaign.json, campaign.jsonl, and a folder per terrain")
     return SUCCESS
 

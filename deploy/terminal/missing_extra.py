@@ -12,6 +12,7 @@ _ALL = "all"  # brings what a simulated robot needs, from several extras
 EXTRAS = {
     "cryptography": ("cryptography", "access"),
     "cv2": ("opencv-python-headless", _ALL),
+    "distributed": ("distributed", "cluster"),
     "foxglove": ("foxglove-sdk", "foxglove"),
     "foxglove_schemas_protobuf": ("foxglove-schemas-protobuf", "recording"),
     "google": ("protobuf", "recording"),

@@ -7,6 +7,7 @@ from pathlib import Path
 from sextant.evaluation.report import Report
 from sextant.evaluation.trials import trials as batches
 from sextant.evaluation.trials.campaign_table import Campaign, Entry, write
+from sextant.evaluation.trials.cluster import Cluster
 from sextant.evaluation.trials.trials import Runner
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
@@ -36,6 +37,7 @@ def run_campaign(
     say: Callable[[str], None] = lambda _: None,
     run: Runner | None = None,
     table: str = "walks",
+    cluster: Cluster | None = None,
 ) -> Campaign:
     """Run the trials of every terrain in turn, continuing an earlier campaign.
 
@@ -50,6 +52,7 @@ def run_campaign(
         say: Receives a line per seed.
         run: Function that runs one seed, in lockstep by default.
         table: Name of the table to write, of `sextant.evaluation.trials.campaign_table.TABLES`.
+        cluster: Run on its workers instead of `jobs` processes. Those of other machines leave no pictures.
     """
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
     whole_files.make_folder(out)
@@ -63,13 +66,17 @@ def run_campaign(
             say(f"{name} is skipped: {lacking}")
             continue
         folder = out / name
-        runner = run or _Leaving(wanted[0], folder / f"seed-{wanted[0]}")
-        seeing = batches.run_trials(scenario, wanted, jobs, folder, say=say, run=runner, keep_in=keep_in)
+
+        def trials_of(blind: bool, end: str, scenario: Scenario = scenario, folder: Path = folder) -> batches.Trials:
+            pictures = _Leaving(wanted[0], folder / f"seed-{wanted[0]}{end}") if cluster is None or cluster.local else None
+            runner = run or pictures
+            return batches.run_trials(scenario, wanted, jobs, folder, blind, say, runner, keep_in, cluster)
+
+        seeing = trials_of(False, "")
         baseline = None
         if blind:
             say("now the same seeds without a map")
-            runner = run or _Leaving(wanted[0], folder / f"seed-{wanted[0]}-blind")
-            baseline = batches.run_trials(scenario, wanted, jobs, folder, blind=True, say=say, run=runner, keep_in=keep_in)
+            baseline = trials_of(True, "-blind")
         entries.append(Entry(seeing, baseline))
         with whole_files.reported(say):
             whole_files.write_text(folder / "trials.json", batches.to_json(seeing, baseline), durable=True)

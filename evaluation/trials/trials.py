@@ -4,14 +4,12 @@ Every finished seed is a line of JSON in `trials.jsonl`, so an interrupted batch
 scenario, of an earlier form of this scenario, or of another version of the program are not counted.
 """
 
-import hashlib
 import json
 import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +20,18 @@ from sextant.evaluation import report as reports
 from sextant.evaluation.provenance import Made
 from sextant.evaluation.report import Report
 from sextant.evaluation.trials import results_store
+from sextant.evaluation.trials.cluster import Cluster
+from sextant.evaluation.trials.environment import as_json, check_environment, environment, fingerprint, refuse_another_program
 from sextant.evaluation.trials.results_store import Run
 from sextant.evaluation.trials.statistics import Difference, Rate, difference, wilson
-from sextant.evaluation.walked_scenario import named_files
 from sextant.services.simulator.physics.terrain import build_terrain
-from sextant.shared.errors import SextantError
 from sextant.shared.files import config, whole_files
 from sextant.shared.runtime.stopwatch import stopwatch_ns
 from sextant.shared.runtime.workers import share_out
 from sextant.shared.scenario.scenario import Scenario
 
-_PACKAGES = ("shared", "services", "evaluation", "deploy")
 _BUSY = 0.85  # [1] CPU time of the walks over their elapsed time below which other work delayed them
 Runner = Callable[[Scenario, int], Report]
-
-
-class ChangedError(SextantError, ValueError):
-    """The program on disk has changed since this process started."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +113,11 @@ def run_trials(
     say: Callable[[str], None] = lambda _: None,
     run: Runner | None = None,
     keep_in: Path | None = None,
+    cluster: Cluster | None = None,
 ) -> Trials:
     """Run every seed that has no result yet, each in lockstep.
+
+    Results are stored as they come, and summarised in the order of their seeds.
 
     Args:
         scenario: The course and how to walk it.
@@ -133,9 +129,11 @@ def run_trials(
         run: Function that runs one seed, `sextant.evaluation.lockstep.lockstep_run.run_lockstep` by default.
         keep_in: A file that also gets a short line of every run, and whose runs count as done; see
             `sextant.evaluation.trials.results_store`.
+        cluster: Run on its workers instead of `jobs` processes.
 
     Raises:
         ValueError: No seeds, no jobs, or an invalid line on file.
+        ClusterError: The cluster has not finished all runs. Those that it has finished are stored.
         ConfigError: The ground of a seed cannot be built. No run has begun then.
         ChangedError: The program has changed since this process first ran trials, so new processes would run another version.
     """
@@ -152,14 +150,20 @@ def run_trials(
     left = [seed for seed in wanted if seed not in done]
     check_grounds(scenario, left)
     successes = sum(one.success for one in done.values())
-    made_by, machine = provenance.commit(), provenance.machine()
+    made_by = provenance.commit()
     results_store.mend(path)
-    tasks, processes = [(run or _run_lockstep, scenario, seed) for seed in left], min(jobs, len(left))
+    tasks = [(run or _run_lockstep, scenario, seed) for seed in left]
+    processes = min(max(cluster.size, 1) if cluster else jobs, len(left))
     if left:
         say(f"{scenario.name}: {len(left)} walks, {processes} at a time; a line follows for each walk that ends")
     elapsed_s: list[float] = []
     cpu_s: list[float] = []
-    for report, walk_s, walk_cpu_s in share_out(_timed, tasks, processes, in_order=False):
+    if cluster is not None and left:
+        names = [f"seed {seed}" for seed in left]
+        results = cluster.share_out(_timed, tasks, check_environment, (environment(scenario), as_json(scenario)), names)
+    else:
+        results = share_out(_timed, tasks, processes, in_order=False)
+    for report, walk_s, walk_cpu_s, machine in results:
         marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
         if changed := params.changes_in_words(scenario):
             marks["params"] = changed
@@ -198,11 +202,11 @@ def check_grounds(scenario: Scenario, seeds: Iterable[int]) -> None:
         raise config.ConfigError(f"scenario {scenario.name}", [f"{words}; {next(iter(failed))}"])
 
 
-def _timed(run: Runner, scenario: Scenario, seed: int) -> tuple[Report, float, float]:
-    """Run a seed; return its report, the elapsed time [s] and the CPU time [s]."""
+def _timed(run: Runner, scenario: Scenario, seed: int) -> tuple[Report, float, float, str]:
+    """Run a seed; return its report, the elapsed time [s], the CPU time [s] and the machine."""
     began_ns, cpu_s = stopwatch_ns(), sum(os.times()[:4])
     report = run(scenario, seed)
-    return report, (stopwatch_ns() - began_ns) * 1e-9, sum(os.times()[:4]) - cpu_s
+    return report, (stopwatch_ns() - began_ns) * 1e-9, sum(os.times()[:4]) - cpu_s, provenance.machine()
 
 
 def _to_go(seconds: float) -> str:
@@ -366,49 +370,6 @@ def in_words(figure: Figure, unit: float, form: str) -> str:
         return "-"
     worst = f" ({unit * figure.worst:{form}})" if np.isfinite(figure.worst) else ""
     return f"{unit * figure.median:{form}}{worst}"
-
-
-def fingerprint(scenario: Scenario) -> str:
-    """Return a digest of all that determines a run except its seed.
-
-    It covers the scenario, the files that the scenario names, its plug-ins, and the program.
-    """
-    table = config.as_table(replace(scenario, folder="."))
-    digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _begun_by()[0], digest_size=6)
-    for path in named_files(scenario).values():
-        if path.is_file():
-            digest.update(path.read_bytes())
-    for path in scenario.plugins.sources():
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-@cache
-def _begun_by() -> tuple[bytes, str]:
-    """Return the program's digest and commit as this process first found them."""
-    return _program(), provenance.commit()
-
-
-def refuse_another_program() -> None:
-    """Remember the program at the first call; later check that it is unchanged.
-
-    Raises:
-        ChangedError: The program on disk has changed.
-    """
-    begun_by, commit = _begun_by()
-    if _program() != begun_by:
-        raise ChangedError(f"the program has changed since this campaign began; start a new one, or restore commit {commit}")
-
-
-def _program() -> bytes:
-    """Return a digest of Sextant's code, profiles and scenarios on disk."""
-    digest = hashlib.blake2s()
-    root = Path(__file__).parents[2]
-    for package in _PACKAGES:
-        for path in sorted((root / package).rglob("*")):
-            if path.suffix in (".py", ".toml"):
-                digest.update(f"{path.relative_to(root).as_posix()}\0".encode() + path.read_bytes())
-    return digest.digest()
 
 
 def _run_lockstep(scenario: Scenario, seed: int) -> Report:

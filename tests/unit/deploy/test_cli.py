@@ -23,7 +23,7 @@ from sextant.deploy.terminal.arguments import parse
 from sextant.deploy.terminal.run_command import run_command
 from sextant.evaluation.lockstep import lockstep_run
 from sextant.evaluation.report import Report, write
-from sextant.evaluation.trials import trials
+from sextant.evaluation.trials import environment, trials
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire.codec import schema_id
 from sextant.shared.wire.messages import ActuatorState, GaitName, Mode, schema
@@ -508,7 +508,7 @@ def test_trials_begun_by_another_program_version_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
 
-    monkeypatch.setattr(trials, "_begun_by", lambda: (b"another", "abc1234"))
+    monkeypatch.setattr(environment, "_begun_by", lambda: (b"another", "abc1234"))
     assert cli.main(["trials", "flat", "--seeds", "0:3", "--out", str(tmp_path)]) == 2
     assert "restore commit abc1234" in capsys.readouterr().err
 

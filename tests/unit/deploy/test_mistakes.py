@@ -109,6 +109,11 @@ MISTAKES = [
     ("trials flat --seeds 5", "--seeds: A:B with A < B expected"),
     ("trials flat --seeds 0:1000000000000", "--seeds: at most 1000000 seeds expected"),
     ("trials flat --seeds 0:2 --jobs 100000", "--jobs: a whole number of 1 to 256 expected"),
+    (
+        "trials flat --seeds 0:2 --cluster 10.0.0.1",
+        "--cluster: local:N or a scheduler's address such as tcp://10.0.0.1:8786 expected",
+    ),
+    ("trials flat --seeds 0:2 --cluster local:2 --jobs 2", "one of --jobs and --cluster expected, found both"),
     ("topics foxglove --port 99999", "--port: a whole number of 0 to 65535 expected"),
     ("servos calibrate --pose 0 0 nan", "--pose: degrees from -180 to 180 expected, found 'nan'"),
     ("servos test --leg front", "--leg: unknown 'front'; did you mean 'left front'?"),

@@ -18,7 +18,8 @@ from sextant.evaluation.replay.walk import _params
 from sextant.evaluation.report import Report, check
 from sextant.evaluation.trials import results_store
 from sextant.evaluation.trials.campaign_table import of_runs
-from sextant.evaluation.trials.trials import fingerprint, run_trials
+from sextant.evaluation.trials.environment import fingerprint
+from sextant.evaluation.trials.trials import run_trials
 from sextant.services.planner.config import Settings as PlannerSettings
 from sextant.shared.files import config
 from sextant.shared.files.config import ConfigError

@@ -34,6 +34,7 @@ COMMANDS = {
     "demo": "all",
     "run steps --lockstep": "all",
     "trials flat --seeds 0:1 --out runs": "all",
+    "trials flat --seeds 0:1 --out runs --cluster local:2": "cluster",
     "up all --scenario steps": "all",
     "video runs": "all",
     "plot runs": "all",

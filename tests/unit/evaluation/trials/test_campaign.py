@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sextant.evaluation.report import HeightError, Report, Slip, Spread, Torque, as_table
-from sextant.evaluation.trials import campaign, campaign_table, results_store, trials
+from sextant.evaluation.trials import campaign, campaign_table, environment, results_store, trials
 from sextant.shared.scenario.scenario import load_scenario
 
 
@@ -167,8 +167,8 @@ def test_campaign_resumes_from_stored_file_in_another_folder(tmp_path):
 
 def test_runs_of_earlier_program_are_excluded_and_counted(tmp_path, monkeypatch):
     for program, time, seeds in ((b"old", "2024-05-01T10:00:00+00:00", 5), (b"new", "2024-05-02T10:00:00+00:00", 3)):
-        monkeypatch.setattr(trials, "_program", lambda program=program: program)
-        monkeypatch.setattr(trials, "_begun_by", lambda program=program: (program, "abc1234"))
+        monkeypatch.setattr(environment, "_program", lambda program=program: program)
+        monkeypatch.setattr(environment, "_begun_by", lambda program=program: (program, "abc1234"))
         monkeypatch.setattr(trials.provenance, "now", lambda time=time: time)
         campaign.run_campaign(("flat",), range(seeds), 1, tmp_path, run=Runner())
     found = campaign_table.of_runs(results_store.read(tmp_path / "campaign.jsonl"))
@@ -235,8 +235,8 @@ def test_code_change_between_terrains_ends_campaign(tmp_path, monkeypatch):
     code = tmp_path / "evaluation" / "code.py"
     code.parent.mkdir()
     code.write_text("one = 1\n")
-    monkeypatch.setattr(trials, "__file__", str(tmp_path / "evaluation" / "trials" / "trials.py"))
-    monkeypatch.setattr(trials, "_begun_by", functools.cache(trials._begun_by.__wrapped__))
+    monkeypatch.setattr(environment, "__file__", str(tmp_path / "evaluation" / "trials" / "environment.py"))
+    monkeypatch.setattr(environment, "_begun_by", functools.cache(environment._begun_by.__wrapped__))
     monkeypatch.setattr(trials.provenance, "commit", lambda: "abc1234")
     runner = Runner()
 
@@ -245,7 +245,7 @@ def test_code_change_between_terrains_ends_campaign(tmp_path, monkeypatch):
         return runner(scenario, seed)
 
     for run in (changing, runner):
-        with pytest.raises(trials.ChangedError, match="start a new one, or restore commit abc1234"):
+        with pytest.raises(environment.ChangedError, match="start a new one, or restore commit abc1234"):
             campaign.run_campaign(("flat", "stairs"), range(2), 1, tmp_path / "out", run=run)
     assert _sorted_runs(runner.ran) == [("flat", False, 0), ("flat", False, 1)]
     code.write_text("one = 1\n")

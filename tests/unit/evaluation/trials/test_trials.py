@@ -10,7 +10,7 @@ import pytest
 from sextant.evaluation import report as reports
 from sextant.evaluation.provenance import Made
 from sextant.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread
-from sextant.evaluation.trials import trials
+from sextant.evaluation.trials import environment, trials
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.scenario import Goal, HeightMap, Plane, Rubble, Scenario
 
@@ -143,7 +143,7 @@ def test_fingerprint_depends_on_program_and_height_map(tmp_path, monkeypatch):
     assert before == trials.fingerprint(ground)
     (tmp_path / "ground.npy").write_bytes(b"another")
     changed = trials.fingerprint(ground)
-    monkeypatch.setattr(trials, "_begun_by", lambda: (b"another version", "abc1234"))
+    monkeypatch.setattr(environment, "_begun_by", lambda: (b"another version", "abc1234"))
     assert len({before, changed, trials.fingerprint(ground)}) == 3
 
 
