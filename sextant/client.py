@@ -12,7 +12,7 @@ from typing import Literal, Self, TypeAlias
 
 import numpy as np
 
-from sextant.deploy.live.send_command import LEASE_ENDS_NS, REFUSED_NS, SETTLED, STOPS, refusal, router_refusal
+from sextant.deploy.live.send_command import LEASE_ENDS_NS, REFUSED_NS, SETTLED, STOPS, OrderedMotion, refusal, router_refusal
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.zenoh_runner import run_live
@@ -367,7 +367,7 @@ class Client:
             raise ClientError(self._may_only_stop)
         if leads and not self._commander.leads:
             self._await_name()
-        before = self._commander.newest
+        before, motion = self._commander.newest, OrderedMotion(command)
         given_ns = self._commander.give(command)
 
         def done(status: Status) -> bool:
@@ -380,6 +380,8 @@ class Client:
                 raise ClientError(f"{found}; Client(..., take=True) takes it over" if held else found)
             if leads and not obeyed and self._commander.refused_by_router:
                 raise ClientError(self._commander.refused_by_router)
+            if obeyed and state.stamp_ns > given_ns and (interruption := motion.interruption(state)):
+                raise ClientError(interruption)
             return state.stamp_ns > given_ns + _SETTLED_NS and state.mode in SETTLED[command] and (obeyed or not leads)
 
         try:

@@ -25,6 +25,23 @@ SETTLED: dict[What, tuple[Mode, ...]] = {  # modes in which an order is executed
     "walk": (Mode.HOLD, Mode.WALK),
     "sit": (Mode.READY, Mode.OFF),
 }
+_DURING: dict[What, Mode] = {"stand": Mode.STAND, "sit": Mode.SIT}  # mode while the ordered motion lasts
+
+
+class OrderedMotion:
+    """Motion of an order to stand or sit, which a fault or another order may end early. The actuator does not resume it."""
+
+    def __init__(self, what: What) -> None:
+        """Wait until the motion begins."""
+        self._what, self._during = what, _DURING.get(what)
+        self._has_begun = False
+
+    def interruption(self, state: ActuatorState) -> str:
+        """Return by the newest state since the order why the motion has ended early, or an empty text."""
+        self._has_begun |= state.mode is self._during
+        if not self._has_begun or state.mode is self._during or state.mode in SETTLED[self._what]:
+            return ""
+        return f"`{self._what}` was interrupted: {state.reason}" + ("; then order it again" if state.mode is Mode.FAULT else "")
 
 
 class Order:
@@ -60,6 +77,8 @@ class Order:
         self._robot = RobotClockEstimate()
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # last state before the order
+        self._motion = OrderedMotion(what)
+        self._clear_ns = 0  # last time at which the robot's time was not in doubt
 
     def status(self) -> str:
         """Return the progress of the order as text."""
@@ -95,7 +114,10 @@ class Order:
             self._due_ns = now + _REPEAT_NS
             yield from self._words_of_it(self._robot())
         if not self._robot.in_doubt:
+            self._clear_ns = now
             self._see(state, now - self._begun_ns)
+        elif now - self._clear_ns > _PATIENCE_NS:
+            self._end(f"the robot's messages of the last {_PATIENCE_NS * 1e-9:.0f} s have times that do not agree")
 
     def _is_name_taken(self, state: ActuatorState | None, now_ns: int) -> bool:
         """Return whether another client leads under the name of this order; end the order if that lasts.
@@ -134,6 +156,8 @@ class Order:
             self._end(f"{refused}; --take takes it over" if led else refused)
         elif self._done(state):
             self.finished = self._what != "walk"
+        elif state.lease == self._holder and (interruption := self._motion.interruption(state)):
+            self._end(interruption)
         elif since_ns > _PATIENCE_NS:
             unanswered = self._what not in STOPS and state.lease != self._holder
             hint = f"; the order may not have arrived: {_ON_THE_WAY}" if unanswered else ""

@@ -169,6 +169,21 @@ def test_unanswered_command_fails_with_state_of_robot(robot: Robot) -> None:
         me.sit()
 
 
+def test_interrupted_motion_raises_its_cause_at_once(robot: Robot) -> None:
+    began_ns = robot.now_ns
+
+    def then() -> None:
+        if robot.now_ns - began_ns > 1_000 * MS:
+            robot.set(mode=Mode.FAULT, reason="no servo answers")
+
+    robot.obey = lambda _: robot.set(mode=Mode.STAND, lease="me", reason="standing up")
+    robot.then = then
+    with Client(name="me") as me:
+        with pytest.raises(ClientError, match="`stand` was interrupted: no servo answers; then order it again"):
+            me.stand()
+        assert robot.now_ns - began_ns < 2_000 * MS
+
+
 def test_silent_actuator_has_no_state(robot: Robot) -> None:
     with Client(name="me") as me:
         me.stand()

@@ -218,3 +218,32 @@ def test_stop_only_certificate_fails_motion_orders() -> None:
         receive_router_health(desk, name)
         desk.run_ticks(1)
         assert not desk.order.failed
+
+
+@pytest.mark.parametrize(("what", "during"), [("stand", Mode.STAND), ("sit", Mode.SIT)])
+def test_interrupted_motion_ends_its_order_at_once_with_the_cause(what: Any, during: Mode) -> None:
+    """Check an order whose motion a fault has ended: the actuator does not resume it."""
+    desk = OrderBench(Order(what, "me"), mode=Mode.FAULT, reason="an earlier fault")
+    desk.run_ticks(2)
+    desk.run_ticks(10, lease="me")
+    assert not desk.order.finished, "the motion has not begun"
+    desk.run_ticks(10, mode=during, reason="moving", lease="me")
+    desk.run_ticks(1, mode=Mode.FAULT, reason="no servo answers", lease="me")
+    assert desk.order.failed == f"`{what}` was interrupted: no servo answers; then order it again"
+
+
+def test_stand_order_that_another_client_stops_ends() -> None:
+    desk = OrderBench(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
+    desk.run_ticks(2)
+    desk.run_ticks(10, mode=Mode.STAND, reason="standing up", lease="me")
+    desk.run_ticks(1, mode=Mode.READY, reason="stopped while rising or sitting down; order `stand` or `sit`", lease="me")
+    assert desk.order.failed == "`stand` was interrupted: stopped while rising or sitting down; order `stand` or `sit`"
+
+
+def test_order_ends_while_the_times_of_the_robot_do_not_agree() -> None:
+    desk = OrderBench(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
+    desk.run_ticks(5)
+    for k in range(400):  # each message is of another time
+        desk.ahead_ns = (100_000 + 20_000 * (k % 3)) * 1_000 * MS
+        desk.run_ticks(1)
+    assert desk.order.failed == "the robot's messages of the last 15 s have times that do not agree"
