@@ -93,6 +93,7 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     from sextant.deploy.launch import process_table
     from sextant.deploy.launch.host_launcher import HostLauncher
     from sextant.deploy.live.page import Page
+    from sextant.deploy.live.readiness import CameraReport
     from sextant.deploy.terminal.interrupts import Interrupts
     from sextant.deploy.terminal.progress import Terminal
     from sextant.shared.runtime.process_priority import allow_many_files
@@ -120,6 +121,7 @@ def up(launch: Launch, print_zenoh: bool) -> int:
             page = Page(chosen.console_port) if paged else None
             if page:
                 say(f"the operator's page: {page.url}")
+            camera = CameraReport()
             readiness = _readiness(half.names, bool(chosen.scenario), page, gated, launch.role)
             shown = time.monotonic()
             problem = ""
@@ -128,8 +130,10 @@ def up(launch: Launch, print_zenoh: bool) -> int:
                     problem = half.beat(0.2)
                     if page:
                         page.show()
-                    for line in readiness.lines(monitor.view.doing, time.monotonic()) if half.has_started else ():
-                        progress.say(line)
+                    doing, now_s = monitor.view.doing, time.monotonic()
+                    if half.has_started:
+                        for line in (*readiness.lines(doing, now_s), *camera.lines(doing, now_s)):
+                            progress.say(line)
                     if drawn and time.monotonic() - shown >= _SHOW_S:
                         shown = time.monotonic()
                         progress.update(monitor.view)

@@ -1,9 +1,11 @@
 """Whether the processes of a machine are ready, from their health messages. Pure: time is an input."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
+NO_IMAGES = "no images"  # beginning of the status of a camera process without images
 _SLOW_S = 10.0  # [s] after which the missing services are named
 _COMPILE_S = 120.0  # [s] that a first start may take
+_BLIND_S, _REMINDER_S = 5.0, 60.0  # [s] without images until the first report, and from there to the second one
 _COMPILING = "the first start compiles the inner loops, which takes half a minute"
 _FAILING = "their output above says why; `sextant doctor` checks what they need"
 
@@ -45,6 +47,37 @@ class Readiness:
             self._due_s = now_s + 2.0 * waited_s  # less and less often
             hint = _COMPILING if waited_s < _COMPILE_S else _FAILING
             yield f"not ready after {waited_s:.0f} s: no health message of {', '.join(missing)} yet; {hint}"
+
+
+class CameraReport:
+    """Reports a camera that sends no images: soon, then less and less often; and once when images arrive."""
+
+    def __init__(self) -> None:
+        """Wait for the first health message of a camera process."""
+        self._since_s = -1.0  # beginning of the time without images, negative with images
+        self._due_s = 0.0
+        self._is_told = False
+
+    def lines(self, status: Mapping[str, str], now_s: float) -> Iterator[str]:
+        """Yield the lines that are due.
+
+        Args:
+            status: Status text of each service.
+            now_s: [s] current time.
+        """
+        why = status.get("camera", "")
+        if not why.startswith(NO_IMAGES):
+            if why and self._is_told:
+                yield f"camera: images arrive after {now_s - self._since_s:.0f} s"
+            self._since_s, self._is_told = -1.0, False
+            return
+        if self._since_s < 0.0:
+            self._since_s, self._due_s = now_s, now_s + _BLIND_S
+        if now_s >= self._due_s:
+            self._due_s = now_s + max(_REMINDER_S, 2.0 * (now_s - self._since_s))
+            hint = "" if self._is_told else "; the robot does not walk without images; `--camera none` starts without a camera"
+            self._is_told = True
+            yield f"camera: {why}{hint}"
 
 
 def next_steps(names: Collection[str], simulated: bool, page: str, endpoint: str, namespace: str, options: str) -> str:

@@ -1,6 +1,6 @@
 """The line that says that the robot is ready, and those that name what is missing."""
 
-from sextant.deploy.live.readiness import Readiness, next_steps
+from sextant.deploy.live.readiness import CameraReport, Readiness, next_steps
 
 
 def test_ready_is_announced_once_when_every_service_has_reported() -> None:
@@ -41,3 +41,25 @@ def test_next_steps_are_page_order_and_client() -> None:
 def test_base_station_names_its_services() -> None:
     words = next_steps(["mapper", "console"], False, "http://127.0.0.1:8080/", "tcp/127.0.0.1:1", "sextant", "")
     assert words == "mapper, console run; the operator's page is http://127.0.0.1:8080/"
+
+
+def test_missing_camera_is_reported_soon_then_rarely_and_once_when_it_is_back() -> None:
+    report, status = CameraReport(), {"camera": "no images: no camera at the bus; opened 3 times so far"}
+    said = {second: [*report.lines(status, float(second))] for second in range(2000)}
+    assert [second for second, lines in said.items() if lines] == [5, 65, 195, 585, 1755]
+    assert said[5] == [
+        "camera: no images: no camera at the bus; opened 3 times so far; the robot does not walk without images; "
+        "`--camera none` starts without a camera"
+    ]
+    assert said[65] == ["camera: no images: no camera at the bus; opened 3 times so far"]
+    working = {"camera": "Astra, 30 images"}
+    assert [*report.lines(working, 2000.0)] == ["camera: images arrive after 2000 s"]
+    assert [*report.lines(working, 2001.0)] == []
+
+
+def test_camera_that_is_there_or_opens_within_seconds_is_not_reported() -> None:
+    report = CameraReport()
+    for second in range(4):
+        assert [*report.lines({"camera": "no images: Astra has sent no image yet; opened 1 times so far"}, float(second))] == []
+    assert [*report.lines({"camera": "Astra, 1 images"}, 4.0)] == []
+    assert [*report.lines({"actuator": "hold: standing"}, 400.0)] == []
