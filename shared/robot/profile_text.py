@@ -8,6 +8,7 @@ from typing import Any
 from sextant.shared.files import config, whole_files
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.robot.servo import Servo
 
 _DIGITS = 9  # significant digits of a number: micrometres of a robot of any size
 _COMMENTS = {
@@ -27,6 +28,8 @@ def profile_text(profile: RobotProfile, heading: Sequence[str] = ()) -> str:
         heading: Lines of a comment at the beginning.
     """
     table = config.as_table(profile)
+    for key in _without_effect(profile.servo):
+        del table["servo"][key]
     lines = [f"# {line}" for line in heading]
     lines += [f"{key} = {_value(value)}" for key, value in table.items() if value != [] and not _is_table(value)]
     for name, value in table.items():
@@ -37,6 +40,12 @@ def profile_text(profile: RobotProfile, heading: Sequence[str] = ()) -> str:
             for entry in value:
                 lines += ["", f"[[{name}]]", *(f"{key} = {_value(item)}" for key, item in entry.items())]
     return "\n".join(lines) + "\n"
+
+
+def _without_effect(servo: Servo) -> list[str]:
+    """Return settings of servos that these do not have, at their defaults."""
+    unset = [key for key in ("compliance_slope", "position_gain") if not getattr(servo, key)]
+    return unset if servo.servo_model.table.lock or not servo.lock_eeprom else [*unset, "lock_eeprom"]
 
 
 def require_new_file(path: Path) -> None:
