@@ -127,6 +127,7 @@ def _described(file: Path) -> "RobotDescription":
     return read_mjcf(file)
 
 
+_VOLTS = number(3.0, 30.0, "a voltage")
 _LENGTH, _MASS = number(0.005, 0.5, "a length in metres"), number(0.1, 30.0, "a mass in kilograms")
 _QUESTIONS = {  # what is asked, and its value for a PhantomX
     "coxa": ("from coxa axis to femur axis [m]", _LENGTH, 0.052),
@@ -157,8 +158,14 @@ class _Measured:
 @options_of(
     _Measured, "measured", *(option(f"--{name}", about, "X", type=kind) for name, (about, kind, _) in _QUESTIONS.items())
 )
-@option("--servo", "model of the servos, by its name in docs/servos.md", "MODEL", default="AX-12A")
-def new(out: str, measured: _Measured, servo: str) -> int:
+@option(
+    "--servo",
+    "model of the servos, by its name in docs/servos.md; or a TOML file with [servo], or a profile that has these servos",
+    "MODEL",
+    default="AX-12A",
+)
+@option("--volts", "voltage of the servos, where their maker states several (default: the usual one)", "V", type=_VOLTS)
+def new(out: str, measured: _Measured, servo: str, volts: float | None) -> int:
     """Write a profile from a few measures, and check it.
 
     It asks for the measures that no option gives. The robot is symmetric, with straight brackets. Stance, limits and camera are
@@ -168,16 +175,14 @@ def new(out: str, measured: _Measured, servo: str) -> int:
     from sextant.evaluation.robot_check.slowed_robot import slow_down
     from sextant.shared.robot.new_profile import Measures, new_profile
     from sextant.shared.robot.profile_text import require_new_file, write_new_profile
-    from sextant.shared.robot.servo_proposal import unknown_model
-    from sextant.shared.servo.models import MODEL_NAMED
+    from sextant.shared.robot.servo_proposal import chosen_servo
 
-    if servo not in MODEL_NAMED:
-        raise InputError(f"--servo: {unknown_model(servo)}")
+    drive = chosen_servo(servo, volts)
     require_new_file(Path(out))
     given = {name: _asked(name) if measure is None else measure for name, measure in asdict(measured).items()}
-    made = slow_down(new_profile(Path(out).stem, Measures(**given, servo=servo)))
+    made = slow_down(new_profile(Path(out).stem, Measures(**given), drive))  # type: ignore[arg-type]
     words = [f"{name} = {measure:g}: {_QUESTIONS[name][0]}" for name, measure in given.items()]
-    note = "Stance, joint limits, masses of the links, camera and servo ids 1 to 18 are proposed: see docs/your_robot.md."
+    note = "Stance, joint limits, masses of the links, camera and servo ids are proposed: see docs/your_robot.md."
     write_new_profile(Path(out), made, ["Made by `sextant robot new` from measures:", *words, note])
     found = check_robot(made)
     for limit in found.limits:

@@ -8,8 +8,10 @@ import numpy as np
 from sextant.shared.files import config
 from sextant.shared.robot.profile import LEGS, Body, Foot, Leg, LegLinks, RobotProfile
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
+from sextant.shared.robot.servo import Battery, Servo
 from sextant.shared.robot.servo_proposal import proposed_battery, proposed_servo
 from sextant.shared.servo.models import MODEL_NAMED
+from sextant.shared.servo.servo_model import ServoModel
 
 _SHARES_OF_LEG = (
     0.028,
@@ -47,12 +49,18 @@ class Measures:
         config.verify(self)
 
 
-def new_profile(name: str, measures: Measures) -> RobotProfile:
+def new_profile(name: str, measures: Measures, drive: tuple[Servo, Battery] | None = None) -> RobotProfile:
     """Return the profile of a robot that is symmetric to both of its horizontal axes, with straight brackets.
 
-    Servo ids are 1 to 18 in the order of the legs.
+    Servo ids are 1 to 18 in the order of the legs; channels of hobby servos are 0 to 17.
+
+    Args:
+        name: Of the robot.
+        measures: Its measures.
+        drive: Its servos and battery; None proposes them by the model in `measures`.
     """
-    horn = _tibia_horn_deg(measures.servo)
+    servo, battery = drive or (proposed_servo(measures.servo), proposed_battery(measures.servo))
+    horn = _tibia_horn_deg(servo.servo_model)
     links = LegLinks(measures.coxa, measures.femur, measures.tibia)
     coxa, femur, tibia = (round(share * measures.mass, 4) for share in _SHARES_OF_LEG)
     trunk = round(measures.mass - 6.0 * (coxa + femur + tibia), 4)
@@ -60,27 +68,34 @@ def new_profile(name: str, measures: Measures) -> RobotProfile:
     length, width, height = size.tolist()
     profile = RobotProfile(
         name=name,
-        servo=proposed_servo(measures.servo),
+        servo=servo,
         horn_offsets_deg=(0.0, 0.0, horn),
         links=links,
         body=Body((length, width, height), trunk, (coxa, femur, tibia)),
         foot=Foot(round(_FOOT_SHARE * measures.tibia, 4)),
         stance=PLACEHOLDER_STANCE,
-        legs=tuple(_leg(k, measures, horn) for k in range(len(LEGS))),  # type: ignore[arg-type]
+        legs=tuple(_leg(k, measures, horn, 0 if servo.pulses else 1) for k in range(len(LEGS))),  # type: ignore[arg-type]
         camera=proposed_camera(size),
-        battery=proposed_battery(measures.servo),
+        battery=battery,
     )
     return replace(profile, stance=proposed_stance(profile))
 
 
-def _tibia_horn_deg(servo: str) -> float:
+def _tibia_horn_deg(model: ServoModel) -> float:
     """Return the horn offset [deg] of the tibia: a servo with a short range is mounted in the middle of the tibia's."""
     middle = sum(_TIBIA_DEG) / 2.0
-    return 0.0 if math.degrees(MODEL_NAMED[servo].units.range_rad) >= max(map(abs, _TIBIA_DEG)) else -middle
+    return 0.0 if math.degrees(model.units.range_rad) >= max(map(abs, _TIBIA_DEG)) else -middle
 
 
-def _leg(k: int, measures: Measures, horn: float) -> Leg:
-    """Return a leg, with servo limits that keep its neighbours apart; `horn` [deg] is the offset of its tibia's horn."""
+def _leg(k: int, measures: Measures, horn: float, first: int) -> Leg:
+    """Return a leg, with servo limits that keep its neighbours apart.
+
+    Args:
+        k: Its number.
+        measures: Of the robot.
+        horn: [deg] offset of its tibia's horn.
+        first: Lowest servo id of the robot.
+    """
     side, place = LEGS[k].split()
     left = 1.0 if side == "left" else -1.0
     x = {"front": measures.front, "middle": 0.0, "rear": -measures.front}[place]
@@ -96,7 +111,7 @@ def _leg(k: int, measures: Measures, horn: float) -> Leg:
         name=LEGS[k],
         mount_xyz=(x, y, 0.0),
         neutral_yaw_deg=left * _YAW_DEG[place],
-        servo_ids=(3 * k + 1, 3 * k + 2, 3 * k + 3),
+        servo_ids=(3 * k + first, 3 * k + first + 1, 3 * k + first + 2),
         servo_signs=(1, 1, 1),
         servo_limits_deg=(coxa, _FEMUR_DEG, (_TIBIA_DEG[0] + horn, _TIBIA_DEG[1] + horn)),
     )

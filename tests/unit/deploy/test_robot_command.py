@@ -141,6 +141,48 @@ def test_new_robot_that_is_too_heavy_fails_the_check(tmp_path: Path, capsys: pyt
     assert "FAIL  torque, tripod" in capsys.readouterr().out
 
 
+OPTIONS = [word for name, measure in MEASURES.items() for word in (f"--{name}", str(measure))]
+NUMBERS = """
+[servo]
+model = "XM430-W210"
+stall_torque = 3.0
+[servo.numbers]
+like = "XM430-W350"
+number = 1030
+no_load_rpm = 77.0
+"""
+
+
+@pytest.mark.slow
+def test_new_takes_servos_by_numbers_from_a_profile_or_for_a_voltage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("numbers.toml").write_text(NUMBERS, encoding="utf-8")
+    for out, words in {
+        "numbered": ["--servo", "numbers.toml"],
+        "again": ["--servo", "numbered.toml"],
+        "hobby": ["--servo", "printed_ds3218"],
+        "low": ["--servo", "STS3215", "--volts", "7.4"],
+    }.items():
+        assert cli.main(["robot", "new", "--out", f"{out}.toml", *OPTIONS, *words]) == 0
+    numbered, again, hobby, low = (load_profile(f"{name}.toml") for name in ("numbered", "again", "hobby", "low"))
+    assert (numbered.servo.servo_model.number, numbered.servo.no_load_speed) == (1030, pytest.approx(8.063, abs=1e-3))
+    assert numbered.servo.stiffness == pytest.approx(numbered.servo.nominal_stiffness, rel=1e-3)
+    assert again.servo == numbered.servo
+    assert hobby.servo == load_profile("printed_ds3218").servo
+    assert sorted(hobby.servo_names) == list(range(18))
+    assert (low.servo.stall_torque, low.battery.empty_voltage) == (1.91, 6.6)
+
+
+@pytest.mark.slow
+def test_settings_that_servos_do_not_have_are_not_written(tmp_path: Path) -> None:
+    for servo, has in {"AX-12A": "compliance_slope", "STS3215": "position_gain", "XL430-W250": "position_gain"}.items():
+        path = tmp_path / f"{servo}.toml".lower()
+        assert cli.main(["robot", "new", "--out", str(path), *OPTIONS, "--servo", servo]) == 0
+        text = path.read_text(encoding="utf-8")
+        assert [key for key in ("compliance_slope", "position_gain") if key in text] == [has]
+        assert ("lock_eeprom" in text) is (servo != "XL430-W250")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -148,6 +190,10 @@ def test_new_robot_that_is_too_heavy_fails_the_check(tmp_path: Path, capsys: pyt
         (["--out", "new.toml", "--coxa", "52"], "--coxa: a length in metres from 0.005 to 0.5 expected, found '52'"),
         (["--out", "new.toml", "--servo", "AX12A"], "--servo: no servo model 'AX12A'; did you mean 'AX-12A'?"),
         (["--out", "new.toml", "--servo", "XM430-W210"], "state the numbers that differ: docs/servos.md"),
+        (["--out", "new.toml", "--servo", "none.toml"], "none.toml: no such file"),
+        (["--out", "new.toml", "--servo", "STS3215", "--volts", "6"], "a voltage of the STS3215 (12, 7.4) expected, found 6"),
+        (["--out", "new.toml", "--servo", "AX-12A", "--volts", "12"], "no voltage for the AX-12A expected, found 12"),
+        (["--out", "new.toml", "--servo", "printed_ds3218", "--volts", "6"], "a model with --servo expected"),
         ([], "--out expected, found none"),
     ],
 )

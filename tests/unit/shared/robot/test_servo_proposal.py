@@ -4,7 +4,7 @@ import pytest
 
 from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.robot.servo_proposal import STALL_TORQUES, nearest_servo, proposed_servo
+from sextant.shared.robot.servo_proposal import AT_VOLTS, STALL_TORQUES, nearest_servo, proposed_servo
 from sextant.shared.servo.models import MODEL_NAMED
 
 
@@ -35,3 +35,19 @@ def test_proposed_servos_are_those_of_the_shipped_profiles() -> None:
     printed, proposed = load_profile("printed_sts3215").servo, proposed_servo("STS3215")
     for value in ("armature", "friction", "stall_torque", "position_gain", "stiffness"):
         assert getattr(proposed, value) == getattr(printed, value)
+
+
+@pytest.mark.parametrize("name", sorted(AT_VOLTS))
+def test_servo_at_another_voltage_has_the_data_for_it(name: str) -> None:
+    usual, *others = AT_VOLTS[name]
+    assert AT_VOLTS[name][usual][0] == STALL_TORQUES[name]
+    assert proposed_servo(name, volts=usual) == proposed_servo(name)
+    for volts in others:
+        servo = proposed_servo(name, volts=volts)
+        assert (servo.stall_torque, servo.no_load_speed) != (
+            proposed_servo(name).stall_torque,
+            proposed_servo(name).no_load_speed,
+        )
+        assert servo.stiffness == pytest.approx(servo.nominal_stiffness, rel=1e-3)
+    with pytest.raises(ValueError, match=f"a voltage of the {name}"):
+        proposed_servo(name, volts=5.0)
