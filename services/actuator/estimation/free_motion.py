@@ -43,10 +43,9 @@ class FreeMotion:
                 self._angles[leg], self._speeds[leg] = self._moved(leg, period_s)
         self._goals = list(goals)
 
-    def at(self, leg: int, after_s: float) -> tuple[float, float]:
-        """Return angle [rad] and acceleration torque [N m] of a femur at a time [s] after its goal was sent."""
-        angle, speed = self._moved(leg, after_s)
-        return angle, self._torque(leg, angle, speed)
+    def at(self, leg: int, after_s: float) -> float:
+        """Return the angle [rad] of a femur at a time [s] after its goal was sent."""
+        return self._moved(leg, after_s)[0]
 
     def _moved(self, leg: int, seconds: float) -> tuple[float, float]:
         """Return angle and speed of a femur after some time with its present goal."""

@@ -18,6 +18,7 @@ class TouchdownParams(Params):
     friction_ratio: float = ranged(2.5, 0.0, 20.0)  # [1] times the dry friction: the leg always decelerates at a reading
     friction_share: float = ranged(0.4, 0.0, 10.0)  # [1] of `touch_n`, by which that may exceed the friction of the servo
     doubt_share: float = ranged(0.4, 0.0, 2.0)  # [1] relative uncertainty of the torque that accelerates the leg
+    inertia_ratio: float = ranged(1.6, 1.0, 5.0)  # [1] by which the inertia of a leg may differ, where servos measure no speed
     free_speed_share: float = ranged(0.75, 0.1, 1.0)  # [1] of the no-load speed: a faster femur has met nothing
     min_arm_m: float = ranged(0.06, 0.005, 0.5)  # [m] least lever arm of a foot over its femur axis; nearer, a push is noise
 

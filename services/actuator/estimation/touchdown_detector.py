@@ -62,7 +62,8 @@ class TouchdownDetector:
     converted to a fixed time after the goals were sent.
 
     Where servos measure no speed, a tick of their positions from one cycle to the next is too coarse for an acceleration. The
-    push is then what keeps the femur from the angle that it would have in the air, see `FreeMotion`.
+    push is then what keeps the femur from the angles that it would have in the air, see `FreeMotion`: between those with the
+    least and with the greatest inertia that it may have.
 
     Tests verify that free swings stay below the limits, and that a stopped foot exceeds them within three readings, with
     armatures known to within a factor of 1.6.
@@ -75,7 +76,8 @@ class TouchdownDetector:
         self.bridged = False  # whether readings come from a microcontroller, which reads in step with its goals
         self._inertia = _leg_inertia(profile)
         measures = Feedback.SPEED in profile.servo_model.feedback
-        self._free = None if measures else FreeMotion(profile.servo, self._inertia)
+        ratio = self._params.inertia_ratio
+        self._free = () if measures else tuple(FreeMotion(profile.servo, self._inertia * k) for k in (1.0 / ratio, ratio))
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
         # All of them are lists, one number for each leg: readings come leg by leg.
         self._speed = [0.0] * 6  # [rad/s] of the femurs, by the newest readings
@@ -99,18 +101,18 @@ class TouchdownDetector:
         changes = [goal - before for goal, before in zip(goals, self._goal, strict=True)]
         self._goal_change_difference = [abs(change - before) for change, before in zip(changes, self._goal_change, strict=True)]
         self._goal_change, self._goal = changes, goals
-        if self._free is not None:
-            self._free.follow(goals, q[:, FEMUR].tolist(), self._holding_torque, self.period_ns * 1e-9)
+        for free in self._free:
+            free.follow(goals, q[:, FEMUR].tolist(), self._holding_torque, self.period_ns * 1e-9)
 
     def add_reading(self, leg: int, femur: FemurReading) -> None:
         """Compute the ground force on a foot from a reading of its femur."""
         speed, since_ns = femur.speed, femur.stamp_ns - self._stamp_ns[leg]
         speed_change, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
         self._push_before[leg] = self._push[leg]
-        if self._free is not None:
+        if self._free:
             self._valid[leg] = True  # one reading is enough
             self._push_before[leg] *= 0 < since_ns <= _MAX_READING_GAP * self.period_ns
-            self._push[leg] = self._push_of_free(self._free, leg, femur)
+            self._push[leg] = self._push_beyond_free(leg, femur)
             return
         self._valid[leg] = 0 < since_ns <= _MAX_READING_GAP * self.period_ns
         if not self._valid[leg]:
@@ -127,16 +129,14 @@ class TouchdownDetector:
         free = abs(speed) > self._params.free_speed_share * servo.no_load_speed
         self._push[leg] = 0.0 if free else math.copysign(max(abs(push) - uncertainty / self._arm[leg], 0.0), push)
 
-    def _push_of_free(self, free: FreeMotion, leg: int, femur: FemurReading) -> float:
-        """Return the ground force [N] on a foot that keeps its femur from where it would be in the air."""
+    def _push_beyond_free(self, leg: int, femur: FemurReading) -> float:
+        """Return the ground force [N] on a foot that keeps its femur from all angles that it may have in the air."""
         servo, arm = self._profile.servo, self._arm[leg]
         after_ns = min(max(femur.stamp_ns - femur.told_ns, 0), 2 * self.period_ns)
-        angle, accelerates = free.at(leg, after_ns * 1e-9)
-        push = servo.stiffness * (femur.angle - angle) / arm
-        tick = self._profile.servo_model.units.tick_rad
-        known = servo.friction + servo.stiffness * tick / 2
-        uncertainty = known + self._params.doubt_share * abs(accelerates)
-        return math.copysign(max(abs(push) - uncertainty / arm, 0.0), push)
+        angles = [free.at(leg, after_ns * 1e-9) for free in self._free]
+        push = servo.stiffness * (femur.angle - min(max(femur.angle, min(angles)), max(angles)))
+        known = servo.friction + servo.stiffness * self._profile.servo_model.units.tick_rad / 2
+        return math.copysign(max(abs(push) - known, 0.0), push) / arm
 
     def _friction(self, leg: int) -> float:
         """Return the torque [N m] to allow for dry friction: beyond the friction itself, it hides only a share of a touch."""
