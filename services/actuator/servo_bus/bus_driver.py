@@ -52,6 +52,7 @@ __all__ = [
 _MAX_UNANSWERED = 3  # consecutive unanswered requests, beyond which a servo is read more rarely: a busy host loses answers
 _AT_ONCE = 3  # consecutive unanswered requests, up to which a servo is still read first in the next call
 _OVERDUE_NS = 100_000_000  # [ns] without a request after which a servo comes before the urgent ones
+_DOUBTFUL_NS = 30_000_000  # [ns] after an unanswered request from which a servo comes before the urgent ones
 _MAX_BACKOFF = 8  # [turns] maximum time between two requests to a silent servo
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _MAX_REQUESTS = 3  # requests to one servo per turn, if its answers are broken or doubtful
@@ -133,6 +134,7 @@ class ServoBus:
         address, self._answer_size = self._state_bytes()  # of what is read in the loop
         self._requests = [self._protocol.read(i, address, self._answer_size) for i in servo_ids]
         self._overdue_ns = _OVERDUE_NS
+        self._most_late = n  # late servos that come before the urgent ones in one call
         self._next = 0
         self._singly_until_ns = 0  # [ns] time up to which no request reads several servos
         self._fast = FastRead(model)
@@ -334,8 +336,8 @@ class ServoBus:
 
         Args:
             budget_ns: [ns] time for this call; 0 reads nothing. One timeout may overrun it.
-            first: Indices of servos that are read in every call, before the rotation. A servo without a request for 100 ms
-                comes before them, so that a silent servo is detected.
+            first: Indices of servos that are read in every call, before the rotation. A servo without a request for 100 ms,
+                or for 30 ms after an unanswered one, comes before them, so that a silent servo is detected.
 
         Raises:
             BusDisconnectedError: The port is gone.
@@ -345,21 +347,12 @@ class ServoBus:
         readings: list[ServoReading] = []
         start = self._clock()
         end = start + budget_ns
-        urgent = dict.fromkeys((*first, *self._again))
-        ahead = deque(sorted(urgent, key=lambda i: (i not in first, i not in self._again)))  # those left over come first
+        turn, others = self._turn(first, start)
         self._again = []
-        for _ in range(len(self) + len(urgent)):
-            if start + min(self._typical_ns, max(budget_ns, 1)) > end:  # at least one
-                break
-            if ahead and start - self._asked_ns[self._next] <= self._overdue_ns:
-                i = ahead.popleft()
-            else:
-                i = self._next
+        while turn and start + min(self._typical_ns, max(budget_ns, 1)) <= end:  # at least one
+            i = turn.popleft()
+            if i in others:
                 self._next = (i + 1) % len(self)
-                if i in ahead:
-                    ahead.remove(i)
-                elif i in urgent:  # already read
-                    continue
             if self._is_skipped(i):
                 continue
             found = self._look(i, end)
@@ -368,7 +361,7 @@ class ServoBus:
             elif self.missed[i] <= _AT_ONCE:
                 self._again.append(i)
             start = self._clock()
-        self._again += ahead  # not read for lack of time
+        self._again += [i for i in turn if i not in others]  # not read for lack of time
         if self._alerts:
             self._read_alert(end)
         return readings
@@ -385,6 +378,20 @@ class ServoBus:
         return np.array([(now - t) / _NS_PER_S if t >= 0 else np.inf for t in self._read_ns])
 
     # ----------------------------------------------------------------------------------------------- below the words
+
+    def _turn(self, first: Sequence[int], now_ns: int) -> tuple[deque[int], list[int]]:
+        """Return the order in which to read the servos, and those of them that only the rotation reads.
+
+        Late servos come first, then those of `first`, then those left over, then the rotation.
+        """
+        urgent = sorted(dict.fromkeys((*first, *self._again)), key=lambda i: (i not in first, i not in self._again))
+        others = [i for k in range(len(self)) if (i := (self._next + k) % len(self)) not in urgent]
+        most_ns = (self._overdue_ns, _DOUBTFUL_NS)
+        late = [
+            i for i in (*urgent, *others) if now_ns - self._asked_ns[i] > most_ns[int(self.missed[i] > 0)] and i not in first
+        ]
+        late = sorted(late, key=lambda i: (self.missed[i] == 0, self._asked_ns[i]))[: self._most_late]
+        return deque(dict.fromkeys((*late, *urgent, *others))), others
 
     def _look(self, index: int, end_ns: int, *, heard: bool = False) -> ServoReading | None:
         """Read one servo until its answer is plausible; `heard` tells whether it has just answered.

@@ -78,7 +78,7 @@ class CommandBus(ServoBus):
         )
         n = len(self.servo_ids)
         self._readings = PositionReadings(n, self._units, model.gain_stiffness if stiffness is None else stiffness)
-        self._overdue_ns = _OVERDUE_NS
+        self._overdue_ns, self._most_late = _OVERDUE_NS, 1  # all of them would take the time of landing legs
         self._pulls = True  # whether torque may be on; without it no goals are sent, because they may turn it on
         self._goals = np.full(n, _UNKNOWN, dtype=np.int64)  # [ticks] wanted, and sent last
         self._sent = self._goals.copy()
