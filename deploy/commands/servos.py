@@ -171,7 +171,7 @@ def _turn(
             return SUCCESS if of_board(one.port, profile, one.servo_id, Terminal(one.yes)) else FAILED
     bus = Bus(one.robot or "", one.port, one.echo)
     names = {one.servo_id: profile.servo_names.get(one.servo_id, "") if profile else ""}
-    wanted = profile.servo_model if profile else MODEL_NAMED.get(one.servo or "")
+    wanted = profile.servo_models.get(one.servo_id, profile.servo_model) if profile else MODEL_NAMED.get(one.servo or "")
     with _ended_once():
         opener = Opener(lambda rate, model: _open_ids(bus, names, model, rate), one.port, not bus.networked)
         found = identify(opener, one.servo_id, wanted)
@@ -430,11 +430,14 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "Se
         BusDisconnectedError: The port cannot be opened.
     """
     model = model or profile.servo_model
-    return _open_ids(bus, profile.servo_names, model, rate or model.bus_rate)
+    models = profile.servo_models if model.table is profile.servo_model.table else None  # else it asks for another family
+    return _open_ids(bus, profile.servo_names, model, rate or model.bus_rate, models)
 
 
-def _open_ids(bus: Bus, names: "Mapping[int, str]", model: "ServoModel", rate: int) -> "ServoBus":
-    """Open servos of a model by their ids; raises BusDisconnectedError."""
+def _open_ids(
+    bus: Bus, names: "Mapping[int, str]", model: "ServoModel", rate: int, models: "Mapping[int, ServoModel] | None" = None
+) -> "ServoBus":
+    """Open servos by their ids, which are of a model, or of others by id; raises BusDisconnectedError."""
     from sextant.services.actuator.servo_bus.bus_driver import open_port
     from sextant.services.actuator.servo_bus.command_bus import bus_of
 
@@ -444,6 +447,7 @@ def _open_ids(bus: Bus, names: "Mapping[int, str]", model: "ServoModel", rate: i
         [i for i in names if i <= model.protocol.MAX_ID],
         time.monotonic_ns,
         model=model,
+        models=models,
         names=names,
         echo=bus.echo,
         reply_timeout_ns=patience,

@@ -107,10 +107,10 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
         )
         yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
         return
-    wrong = problems(names, seen, model)
+    wrong = problems(names, seen)
     words = "; ".join(dict.fromkeys(problem.words for problem in wrong.values()))
     advice = "; ".join(dict.fromkeys(problem.advice for problem in wrong.values()))
-    pulling = sum(bool(one[model.table.torque_enable]) for i, one in seen.items() if i not in wrong)
+    pulling = sum(bool(one[one.expected.table.torque_enable]) for i, one in seen.items() if i not in wrong)
     fine = f"all {len(names)} servos answer" + (f"; torque is on at {pulling} of them" if pulling else "")
     yield Check(name, Level.FAIL if wrong else Level.OK, words or fine, advice)
     right = [one for i, one in seen.items() if i not in wrong]
@@ -146,7 +146,15 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
     from sextant.services.actuator.servo_bus.command_bus import bus_of
 
     names = profile.servo_names
-    connect = partial(bus_of(profile.servo_model), port, list(names), time.monotonic_ns, model=profile.servo_model, names=names)
+    connect = partial(
+        bus_of(profile.servo_model),
+        port,
+        list(names),
+        time.monotonic_ns,
+        model=profile.servo_model,
+        models=profile.servo_models,
+        names=names,
+    )
     bus = connect(reply_timeout_ns=_PATIENCE_NS)
     try:
         seen = call(bus, names)
@@ -167,7 +175,7 @@ def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
     volts, degrees = sorted(one.voltage for one in seen), [one.temperature for one in seen]
     advice = f"charge the battery to at least {low:g} V" if volts[0] < low else ""
     yield Check("servo voltage", Level.WARN if advice else Level.OK, f"{volts[0]:.1f} to {volts[-1]:.1f} V", advice)
-    warm = [one for one in seen if one.temperature > one[profile.servo_model.table.temperature_limit] - WARM]
+    warm = [one for one in seen if one.temperature > one[one.expected.table.temperature_limit] - WARM]
     words = ", ".join(named(one.servo_id, names) for one in warm)
     found = f"{min(degrees):.0f} to {max(degrees):.0f} deg C" + (f"; near their limit: {words}" if warm else "")
     yield Check("servo temperature", Level.WARN if warm else Level.OK, found, "let the servos cool down" if warm else "")

@@ -38,7 +38,7 @@ def tables(schema: type[Any], layout: Layout) -> Iterator[str]:
 def _nested(schema: type[Any], layout: Layout, path: str, level: int, leave_out: frozenset[str] = frozenset()) -> Iterator[str]:
     for name, hint in get_type_hints(schema).items():
         inner, many = tables_of(hint)
-        if not inner or name in leave_out or name not in {f.name for f in dataclasses.fields(schema)}:
+        if not inner or name in leave_out or name not in _own(schema):
             continue
         place = f"{path}.{name}" if path else name
         title = f"[[{place}]]" if many and layout.toml else f"[{place}]" if layout.toml else place
@@ -69,7 +69,7 @@ def _fields(schema: type[Any], layout: Layout, place: str, leave_out: frozenset[
     yield f"| {' | '.join(columns)} |"
     yield "|" + "---|" * len(columns)
     for one in dataclasses.fields(schema):
-        if one.name in leave_out:
+        if one.name in leave_out or one.name not in _own(schema):
             continue
         unit, frame, what = parse(said.get(one.name, ""))
         meaning = ", ".join(filter(None, (what, f"in {{{frame}}}" if frame else "")))
@@ -77,6 +77,12 @@ def _fields(schema: type[Any], layout: Layout, place: str, leave_out: frozenset[
         cells = (key, _type(hints[one.name]), *([_default(one)] if layout.toml else []), unit, meaning)
         yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
     yield ""
+
+
+def _own(schema: type[Any]) -> set[str]:
+    """Return the fields of a dataclass that none of its bases has, whose table lists them."""
+    inherited = {one.name for base in schema.__mro__[1:] if dataclasses.is_dataclass(base) for one in dataclasses.fields(base)}
+    return {one.name for one in dataclasses.fields(schema)} - inherited
 
 
 def _default(one: dataclasses.Field[Any]) -> str:

@@ -190,7 +190,7 @@ def _margin(axes: Any, trace: Trace) -> None:
 
 def _torque(axes: Any, trace: Trace) -> None:
     axes.plot(trace.t, trace.torque_worst, color=_ORANGE, lw=0.9)
-    stall = trace.profile.servo.stall_torque
+    stall = float(trace.profile.servos.stall_torque.max())
     axes.set_ylim(0.0, 1.25 * stall)
     _limit(axes, stall, "stall: {:.2g} N m")
     axes.set_ylabel("highest\ntorque [N m]", size=11)

@@ -410,7 +410,7 @@ def _in_time(figure: Any, axes: Any, runs: Runs, label: str) -> Any:
 
 def _stall(axes: Any, runs: Runs) -> None:
     """Draw the stall torque of each robot, with its name if there are several."""
-    limits = {run.report.robot: run.trace.profile.servo.stall_torque for run in runs}
+    limits = {run.report.robot: float(run.trace.profile.servos.stall_torque.max()) for run in runs}
     for robot, stall in limits.items():
         _limit(axes, stall, "stall" if len(limits) == 1 else f"stall of {robot}")
     axes.set_ylim(0.0, 1.2 * max(limits.values()))

@@ -90,8 +90,8 @@ def walk_cycle(profile: RobotProfile, gait_name: GaitName, body_height: float | 
     rate = (np.roll(q, -1, axis=0) - np.roll(q, 1, axis=0)) / (2 * dt)
     acceleration = (np.roll(q, -1, axis=0) - 2 * q + np.roll(q, 1, axis=0)) / dt**2
     static = np.array([standing_torques(profile, *now) for now in zip(q, feet, shares, strict=True)])
-    servo = profile.servo
-    moving = servo.damping * rate + servo.friction * np.sign(rate) + servo.armature * acceleration
+    servos = profile.servos
+    moving = servos.damping * rate + servos.friction * np.sign(rate) + servos.armature * acceleration
     return GaitCycle(travel / duration, duration, travel, feet, shares, q, rate, static + moving, static)
 
 

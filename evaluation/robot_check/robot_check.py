@@ -97,20 +97,22 @@ def check_robot(profile: RobotProfile) -> RobotCheck:
 def _standing(profile: RobotProfile, height: float) -> Load:
     feet = profile.rest_feet(height)
     torque = np.abs(standing_torques(profile, body_inverse(profile, feet), feet, np.ones(6)))
-    return _load(profile, _STAND, height, 0.0, torque.max(axis=0), torque.max(axis=0), torque)
+    return _load(profile, _STAND, height, 0.0, torque, torque, torque)
 
 
 def _walking(profile: RobotProfile, gait: str, height: float, cycle: GaitCycle) -> Load:
-    static, peak = (np.abs(torque).max(axis=(0, 1)) for torque in (cycle.standing_torque, cycle.torque))
+    static, peak = (np.abs(torque).max(axis=0) for torque in (cycle.standing_torque, cycle.torque))
     return _load(profile, gait, height, cycle.speed, static, peak, cycle.rms_torque)
 
 
 def _load(profile: RobotProfile, gait: str, height: float, speed: float, static: Array, peak: Array, rms: Array) -> Load:
-    """Return a load from torques [N m]: static and peak (3,) of the joints, rms (6, 3)."""
-    stall, limit = profile.servo.stall_torque, profile.servo.temperature_limit
-    hottest = float(rms.max()) / stall
-    minutes = _PROTECTION.time_to_reach(limit, hottest) / 60.0
-    of_static, of_peak, of_rms = (_three(torque / stall) for torque in (static, peak, rms.max(axis=0)))
+    """Return a load from torques (6, 3) [N m]."""
+    shares = rms / profile.servos.stall_torque
+    hottest, minutes = float(shares.max()), math.inf
+    for limit in np.unique(profile.servos.temperature_limit).tolist():
+        share = float(shares.max(where=profile.servos.temperature_limit == limit, initial=0.0))
+        minutes = min(minutes, _PROTECTION.time_to_reach(limit, share) / 60.0)
+    of_static, of_peak, of_rms = (_three((torque / profile.servos.stall_torque).max(axis=0)) for torque in (static, peak, rms))
     return Load(gait, height, speed, of_static, of_peak, of_rms, minutes, _PROTECTION.final_temperature(hottest))
 
 
@@ -148,7 +150,7 @@ def _joints(profile: RobotProfile, cycle: GaitCycle) -> Iterator[Limit]:
     listed = ", ".join(f"{joint} {angle:.0f}" for joint, angle in zip(JOINTS, room.tolist(), strict=True))
     words = f"standing legs of the tripod gait keep {listed} deg from their limits; legs.servo_limits_deg sets them"
     yield Limit("joint room", float(room[worst]), 0.0, "deg", bool(room[worst] >= 0.0), words)
-    fastest = np.abs(cycle.rate).max(axis=(0, 1)) / profile.servo.no_load_speed
+    fastest = (np.abs(cycle.rate).max(axis=0) / profile.servos.no_load_speed).max(axis=0)
     worst = int(np.argmax(fastest))
     share = f"{fastest[worst]:.0%} of servo.no_load_speed"
     words = f"the {JOINTS[worst]} turns fastest, at {share}; a lower stance.foot_speed slows swings"
@@ -169,7 +171,7 @@ def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
             "feet nearer to the coxa (stance.foot_radius_from_coxa) or less body.mass lower it"
         )
         yield Limit(f"torque, {gait}", share, most, "of stall torque", share <= most, words)
-    servo = profile.servo
+    servo = max(profile.servos.each, key=lambda one: abs(one.stiffness / one.nominal_stiffness - 1.0))
     ratio = servo.stiffness / servo.nominal_stiffness
     words = (
         f"servo.stiffness is {servo.stiffness:g} N m/rad, that of an {servo.model} at its setting "
@@ -180,8 +182,9 @@ def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
 
 
 def _heat(profile: RobotProfile, load: Load) -> Limit:
-    limit, joint = profile.servo.temperature_limit, JOINTS[load.rms.index(max(load.rms))]
-    torque = max(load.rms) * profile.servo.stall_torque
+    worst = load.rms.index(max(load.rms))
+    limit, joint = float(profile.servos.temperature_limit[:, worst].min()), JOINTS[worst]
+    torque = load.rms[worst] * float(profile.servos.stall_torque[:, worst].max())
     lasts = "for hours" if math.isinf(load.minutes) else f"for {load.minutes:.0f} min, then a servo reaches {limit:g} deg C"
     words = (
         f"walking in the tripod gait lasts {lasts}: the {joint} takes {torque:.2f} N m rms and heats to {load.temperature:.0f} "

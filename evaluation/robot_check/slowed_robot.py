@@ -20,11 +20,11 @@ def slow_down(profile: RobotProfile) -> RobotProfile:
     Its weight may still be too much: then slower steps do not help.
     """
     for _ in range(_ATTEMPTS):
-        stance, servo = profile.stance, profile.servo
+        stance, servos = profile.stance, profile.servos
         cycle = walk_cycle(profile, "tripod")
-        duty = float(cycle.rms_torque.max()) / servo.stall_torque
-        lasts = Protection().time_to_reach(servo.temperature_limit, duty) / 60.0 >= MIN_MINUTES
-        in_time = np.abs(cycle.rate).max() <= MAX_SPEED_SHARE * servo.no_load_speed
+        duty = float((cycle.rms_torque / servos.stall_torque).max())
+        lasts = Protection().time_to_reach(float(servos.temperature_limit.min()), duty) / 60.0 >= MIN_MINUTES
+        in_time = bool((np.abs(cycle.rate).max(axis=0) <= MAX_SPEED_SHARE * servos.no_load_speed).all())
         if (lasts and in_time) or stance.step_s >= _LONGEST_STEP_S:
             break
         step_s = min(round(_SLOWER * stance.step_s, 2), _LONGEST_STEP_S)

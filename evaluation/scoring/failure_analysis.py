@@ -182,7 +182,7 @@ def _of_joints(trace: Trace, begin: float, end: float) -> list[Precursor]:
     found = []
     period = float(np.median(np.diff(trace.t))) if len(trace.t) > 1 else np.inf
     window = (trace.t >= begin) & (trace.t <= end)
-    pulling = (trace.torque >= _SATURATED * trace.profile.servo.stall_torque) & window[:, None, None]
+    pulling = (trace.torque >= _SATURATED * trace.profile.servos.stall_torque) & window[:, None, None]
     for leg, joint in np.argwhere(pulling.any(axis=0)).tolist():
         longest = max(runs(pulling[:, leg, joint]), key=lambda run: run[1] - run[0])
         lasted = period * float(longest[1] - longest[0])

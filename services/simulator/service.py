@@ -25,7 +25,8 @@ from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.host_link import EmulatedBus
 from sextant.services.simulator.servo_bus.pulse_board import make_board
-from sextant.services.simulator.servo_bus.servo_bank import ServoBank, ServoVariation, make_servo_bank
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank, ServoVariation
+from sextant.services.simulator.servo_bus.servo_banks import AnyBank, RobotServos, make_robot_servos
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.services.simulator.viewer import Viewer
 from sextant.shared.files.config import ConfigError
@@ -108,7 +109,8 @@ class Simulator:
         self._R_imu_body = rotation_from_rpy(np.radians(deviation.imu_rpy_deg)).T
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.radians(deviation.horns_deg))  # servo angles at joint angle zero
-        self._bank = self._switch_on(profile, scenario, seeds[5])
+        self._servos = self._switch_on(profile, scenario, seeds[5])
+        self._bank = self._servos.all
         self._bank.set_joint_state(*self._joints())
         self.bus = self._wired(scenario)
         self.device: Board | BusFaults = self.bus  # device at the actuator's port
@@ -125,7 +127,7 @@ class Simulator:
         self._due_ns = {topic.key: 0 for topic in self.publishes}
         self._behind = 0
 
-    def _switch_on(self, profile: RobotProfile, scenario: Scenario, rng: np.random.Generator) -> ServoBank:
+    def _switch_on(self, profile: RobotProfile, scenario: Scenario, rng: np.random.Generator) -> RobotServos:
         """Place the robot at its start, and return its servos, which hold the pose."""
         height = profile.stance.height_or_own(scenario.walk.body_height)
         q, start = body_inverse(profile, profile.rest_feet(height)), scenario.start
@@ -134,25 +136,19 @@ class Simulator:
         self.world.stand(q - np.radians(real.horns_deg), (x, y), np.radians(yaw_deg))
         servo = profile.servo_angles(q).ravel()
         variation = ServoVariation(real.stiffness.ravel(), real.torque.ravel(), np.radians(real.backlash_deg).ravel())
-        bank = make_servo_bank(
-            profile.servo,
-            list(profile.servo_names),
-            servo,
-            scenario.battery_ah,
-            real.battery_resistance,
-            variation,
-        )
-        model, table = bank.model, bank.table
-        configured = {
-            **profile.servo.controller_settings,
-            **(model.joint_settings if model.eeprom_needs_torque_off else {}),  # else the actuator writes them
-            table.baud_rate: model.rate_code(model.bus_rate),
-        }
-        for row, angle in enumerate(servo):
-            holding = {table.goal_position: model.units.ticks(angle), table.torque_enable: 1}
-            for register, value in (configured | holding).items():
-                bank.write(row, register.address, register.encode(value))
-        return bank
+        servos = make_robot_servos(profile, servo, scenario.battery_ah, real.battery_resistance, variation)
+        for row, (angle, one) in enumerate(zip(servo, profile.servos.each, strict=True)):
+            model, table = one.servo_model, one.servo_model.table
+            configured = {
+                **one.controller_settings,
+                **(model.joint_settings if model.eeprom_needs_torque_off else {}),  # else the actuator writes them
+                table.baud_rate: model.rate_code(model.bus_rate),
+                table.goal_position: model.units.ticks(angle),
+                table.torque_enable: 1,
+            }
+            for register, value in configured.items():
+                servos.all.write(row, register.address, register.encode(value))
+        return servos
 
     def _wired(self, scenario: Scenario) -> BusFaults:
         """Return the servo bus with the faults of the scenario."""
@@ -167,6 +163,7 @@ class Simulator:
     def _bus(self) -> EmulatedBus:
         """Return the bus of the servos, or the board that sends them pulses."""
         if self._profile.servo.pulses is not None:
+            assert isinstance(self._bank, ServoBank)
             return make_board(self._bank, self._profile.servo.pulses)
         return ServoBusEmulator(self._bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
 
@@ -194,7 +191,7 @@ class Simulator:
         return f"simulating {self._scenario.name}, {self.world.time_ns * 1e-9:.1f} s{late}{faults}{refused}"
 
     @property
-    def servos(self) -> ServoBank:
+    def servos(self) -> AnyBank:
         """The servo models.
 
         Tests and measurements read or set their true state, e.g. the temperature.

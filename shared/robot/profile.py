@@ -8,7 +8,6 @@ horizontal. The tibia angle is relative to the straight continuation of the femu
 leg is stretched straight outward.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import date
@@ -20,12 +19,13 @@ from numpy.typing import NDArray
 
 from sextant.shared.files import config
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
+from sextant.shared.robot import joint_names, joint_servos
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
-from sextant.shared.robot.servo import Battery, Servo, known_model
+from sextant.shared.robot.joint_servos import BusJoints, JointServos, ServoGroup
+from sextant.shared.robot.servo import Battery, Servo
 from sextant.shared.servo.servo_model import ServoModel
 
-LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
-JOINTS = ("coxa", "femur", "tibia")
+LEGS, JOINTS = joint_names.LEGS, joint_names.JOINTS
 GRAVITY = 9.81  # [m/s^2]
 # Limits of any step, which the actuator verifies:
 MAX_TRAVEL_M = 0.20  # [m] of the body in one step
@@ -323,22 +323,6 @@ def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
             owners.setdefault(servo, place)
 
 
-def _beyond_servo(servo: Servo, legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
-    """Yield limits and ids that servos of the model do not have."""
-    model = known_model(*(getattr(servo, name, None) for name in ("model", "numbers", "pulses")))
-    if model is None:
-        return
-    most = math.degrees(model.units.range_rad)
-    for i, leg in enumerate(legs):
-        for k, limits in enumerate(getattr(leg, "servo_limits_deg", ())):
-            if max(map(abs, limits)) > most + 1e-6:
-                expected = f"limits within -{most:.0f} and {most:.0f} deg, the range of {model.name} servos,"
-                yield config.Misfit(f"legs[{i}].servo_limits_deg[{k}]", expected, str(list(limits)))
-        for k, servo_id in enumerate(getattr(leg, "servo_ids", ())):
-            if servo_id > model.protocol.MAX_ID:
-                yield config.Misfit(f"legs[{i}].servo_ids[{k}]", f"an id up to {model.protocol.MAX_ID}", str(servo_id))
-
-
 def _calibrated_twice(calibration: tuple[Calibration, ...]) -> Iterator[config.Misfit]:
     """Yield legs with more than one calibration."""
     seen: set[str] = set()
@@ -367,6 +351,8 @@ class RobotProfile:
     camera: Camera
     battery: Battery = field(default_factory=Battery)
     imu: Imu = Imu()
+    servo_groups: tuple[ServoGroup, ...] = ()  # servos of joints that differ from `servo`
+    buses: tuple[BusJoints, ...] = ()  # of servos on several ports
     calibration: tuple[Calibration, ...] = ()  # of the measured legs
 
     checks = (
@@ -375,7 +361,11 @@ class RobotProfile:
         *config.each("horn_offsets_deg", lambda offset: abs(offset) <= 360, "-360 to 360 deg"),
         config.Check(("legs",), _out_of_order),
         config.Check(("legs",), _ids_given_twice),
-        config.Check(("servo", "legs"), _beyond_servo),
+        config.Check(("servo_groups",), lambda groups: joint_servos.given_twice(groups, "servo_groups")),
+        config.Check(("buses",), lambda buses: joint_servos.given_twice(buses, "buses")),
+        config.Check(("servo", "servo_groups"), joint_servos.unlike),
+        config.Check(("servo", "servo_groups", "buses"), joint_servos.wrong_buses),
+        config.Check(("servo", "servo_groups", "legs"), joint_servos.beyond_servo),
         config.Check(("calibration",), _calibrated_twice),
     )
 
@@ -384,8 +374,18 @@ class RobotProfile:
 
     @property
     def servo_model(self) -> ServoModel:
-        """Registers and units of the servos."""
+        """Registers and units of the servos in `servo`; those of groups have other ones."""
         return self.servo.servo_model
+
+    @cached_property
+    def servos(self) -> JointServos:
+        """The servo of each joint, and its bus."""
+        return JointServos(self.servo, self.servo_groups, self.buses)
+
+    @cached_property
+    def servo_models(self) -> dict[int, ServoModel]:
+        """Map of bus id -> model, ordered by leg."""
+        return dict(zip(self.servo_names, self.servos.models, strict=True))
 
     @cached_property
     def servo_ids(self) -> NDArray[np.int64]:
@@ -429,7 +429,7 @@ class RobotProfile:
         """
         servo = np.radians(np.array([leg.servo_limits_deg for leg in self.legs]))
         signs = self.servo_signs[..., None]
-        most = self.servo_model.units.range_rad
+        most = self.servos.range_rad[..., None]
         servo = np.clip(servo + signs * self.trims[..., None], -most, most)
         return np.sort(signs * servo - self.horn_offsets[..., None], axis=-1)
 

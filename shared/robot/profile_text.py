@@ -38,7 +38,10 @@ def profile_text(profile: RobotProfile, heading: Sequence[str] = ()) -> str:
     for name, value in table.items():
         if isinstance(value, list) and _is_table(value):
             for entry in value:
-                lines += ["", f"[[{name}]]", *(f"{key} = {_value(item)}" for key, item in entry.items())]
+                nested = {key: item for key, item in entry.items() if _is_table(item)}
+                lines += ["", f"[[{name}]]", *(f"{key} = {_value(item)}" for key, item in entry.items() if key not in nested)]
+                for key, item in nested.items():
+                    lines += ["", *_table(f"{name}.{key}", item)]
     return "\n".join(lines) + "\n"
 
 

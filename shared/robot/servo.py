@@ -63,9 +63,9 @@ def _wrong_controller(
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """Data sheet of the servos; all 18 are of the same model."""
+    """Data sheet of the servos of all joints that are in none of the `servo_groups`."""
 
-    model: str  # of all servos, one of `sextant.shared.servo.models`, or another with its `numbers`
+    model: str  # of these servos, one of `sextant.shared.servo.models`, or another with its `numbers`
     stall_torque: float  # [N m] torque at standstill
     no_load_speed: float  # [rad/s] speed without torque
     stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope or position gain

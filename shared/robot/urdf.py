@@ -11,6 +11,7 @@ import numpy as np
 from sextant.shared.geometry import Array, rpy_from_rotation
 from sextant.shared.robot.links import BASE, LINK_RADII_M, Joint, fixed_joints, hinges
 from sextant.shared.robot.profile import JOINTS, RobotProfile
+from sextant.shared.robot.servo import Servo
 
 _TIBIA = JOINTS.index("tibia")
 
@@ -26,7 +27,7 @@ def urdf(profile: RobotProfile) -> str:
         link = _add_link(robot, joint.child, profile.body.leg_link_masses[part], lengths[part], LINK_RADII_M[part])
         if part == _TIBIA:
             _add_shape(link, (profile.links.tibia, 0.0, 0.0), "0 0 0", "sphere", radius=_text(profile.foot.radius))
-        _add_hinge(robot, joint, profile, profile.joint_limits.reshape(18, 2)[k])
+        _add_hinge(robot, joint, profile.servos.each[k], profile.joint_limits.reshape(18, 2)[k])
     for joint in fixed_joints(profile):
         ET.SubElement(robot, "link", name=joint.child)
         _add_joint(robot, joint, "fixed")
@@ -86,8 +87,8 @@ def _add_shape(link: ET.Element, centre: tuple[float, float, float], rpy: str, s
             ET.SubElement(part, "material", name="gray")
 
 
-def _add_hinge(robot: ET.Element, joint: Joint, profile: RobotProfile, limits: Array) -> None:
-    servo, hinge = profile.servo, _add_joint(robot, joint, "revolute")
+def _add_hinge(robot: ET.Element, joint: Joint, servo: Servo, limits: Array) -> None:
+    hinge = _add_joint(robot, joint, "revolute")
     if joint.axis is not None:
         ET.SubElement(hinge, "axis", xyz=_text(*joint.axis))
     lower, upper = map(_text, limits.tolist())

@@ -471,6 +471,10 @@ class ServoModel:
         sign = self.units.position_sign
         return value if sign is None else signed(value, sign, self.table.present_position.size)
 
+    def load(self, value: int) -> float:
+        """Return the share of the stall torque in a load register, counterclockwise positive."""
+        return signed(value, self.units.load_sign, self.table.present_load.size) * self.units.load
+
     def rate_code(self, rate: int) -> int:
         """Return the value of the baud rate register for a rate [bit/s]."""
         return next(code for code, found in self.rates.items() if found == rate)

@@ -1,7 +1,7 @@
 """Robots and buses with the servos of each family."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.joint_servos import ServoGroup
+from sextant.shared.robot.profile import JOINTS, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.robot.servo import Servo
 from sextant.shared.robot.servo_proposal import proposed_battery
@@ -39,6 +40,16 @@ def robot_with(model_name: str) -> RobotProfile:
         temperature_limit=float(model.default(table.temperature_limit)),
     )
     return replace(profile, name=f"robot_{model_name.lower()}", servo=servo, battery=proposed_battery(model_name))
+
+
+def mixed_robot(*models: str) -> RobotProfile:
+    """Return a robot whose coxas, femurs and tibias have these models."""
+    base, *_ = robots = [robot_with(model) for model in models]
+    groups = [
+        ServoGroup(joints=(joint,), **{one.name: getattr(robot.servo, one.name) for one in fields(Servo)})
+        for joint, robot in zip(JOINTS, robots, strict=True)
+    ]
+    return replace(base, name="mixed", servo_groups=tuple(groups[1:]))
 
 
 class Bench:

@@ -129,7 +129,7 @@ def _measure_leg(
 
 def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
     """Return the operator's choice; hold the leg gently while it is checked."""
-    torque = torque_words(bus.model)
+    torque = torque_words(bus.model_of(ids[0]))
     question = f"Enter keeps the trims, b bends the leg again, h holds it with {torque} for a check, s skips the leg, q stops: "
     while (answer := _choice(operator, question, (_KEEP, _AGAIN, _CHECK, _SKIP, _LEAVE))) == _CHECK:
         with limited_motion(bus, ids):

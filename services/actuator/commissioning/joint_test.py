@@ -69,7 +69,7 @@ def run_joint_test(
     """
     if not ready(bus, profile, operator):
         return None
-    has_limit = bus.model.has(bus.model.table.torque_limit)
+    has_limit = profile.servo_model.has(profile.servo_model.table.torque_limit)
     torque = f"{100 * TORQUE_SHARE:.0f} % of its torque" if has_limit else "its full torque, which these servos cannot limit"
     if not operator.agree(
         f"Each joint of {len(legs)} legs will move by {STEP_DEG:g} deg and back, one at a time, slowly, with "
@@ -93,10 +93,11 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
     Its torque is off again afterwards.
     """
     servo_id = int(profile.servo_ids[leg, joint])
-    units = bus.model.units
+    model = bus.model_of(servo_id)
+    units = model.units
     step = round(np.radians(STEP_DEG) / units.tick_rad)  # [ticks]
     with limited_motion(bus, [servo_id]):
-        start = bus.model.position(get(bus, servo_id, bus.model.table.present_position))
+        start = model.position(get(bus, servo_id, model.table.present_position))
         sign, up = _way(profile, leg, joint, units.angle(start))
         hold(bus, [servo_id])
         there, load = _go(bus, servo_id, min(max(start + sign * up * step, 0), units.max_position), clock)
@@ -121,17 +122,18 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
 
 def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tuple[int, float]:
     """Move a servo to a goal; return its final position register and maximum load."""
-    table, units = bus.model.table, bus.model.units
+    model = bus.model_of(servo_id)
+    table, units = model.table, model.units
     block = Block((table.present_position, table.present_load, table.moving))
     put(bus, servo_id, table.goal_position, goal)
-    measures = Feedback.LOAD in bus.model.feedback
+    measures = Feedback.LOAD in model.feedback
     began, load = clock(), 0.0 if measures else math.nan
     while True:
         state = retry(lambda: bus.read_bytes(servo_id, block.address, block.size))
         if state is None:
             raise silent(bus, servo_id, "it was moving")
         position, load_register, moving = block.unpack(state)
-        position = bus.model.position(position)
+        position = model.position(position)
         if measures:
             load = max(load, abs(signed(load_register, units.load_sign, table.present_load.size)) * units.load)
         took = clock() - began

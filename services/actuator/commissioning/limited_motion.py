@@ -39,7 +39,7 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     Report problems to the operator.
     """
     seen = call(bus, profile.servo_names)
-    wrong = problems(profile.servo_names, seen, profile.servo_model)
+    wrong = problems(profile.servo_names, seen)
     low = profile.battery.warn_voltage
     told = [f"{words}: {advice}" for words, advice in dict.fromkeys(wrong.values())]
     told += [
@@ -48,7 +48,7 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     if told:
         operator.say("the servos are not ready, nothing was moved:\n  " + "\n  ".join(told))
         return False
-    return _released([one for one in seen.values() if one[bus.model.table.torque_enable]], bus, operator)
+    return _released([one for one in seen.values() if one[one.expected.table.torque_enable]], bus, operator)
 
 
 def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -> bool:
@@ -60,7 +60,7 @@ def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -
         operator.say("nothing was changed: end the program that drives the robot, place it on a stand, and start again")
         return False
     for one in holding:
-        put(bus, one.servo_id, bus.model.table.torque_enable, 0)
+        put(bus, one.servo_id, one.expected.table.torque_enable, 0)
     return True
 
 
@@ -80,15 +80,18 @@ def limited_motion(bus: ServoBus, servo_ids: Sequence[int], *, others: bool = Tr
         servo_ids: Those that are limited.
         others: Turn the torque of all others on the bus off, too.
     """
-    table, units = bus.model.table, bus.model.units
-    limits = [r for r in (table.goal_speed, table.torque_limit) if bus.model.has(r) or r is table.goal_speed]
-    before = {(i, r): get(bus, i, r) for i in servo_ids for r in limits}
-    again = {(i, table.torque_enable): 0 for i in servo_ids} | before
+    before: dict[tuple[int, Register], int] = {}
+    for i in servo_ids:
+        model, table = bus.model_of(i), bus.model_of(i).table
+        limits = [r for r in (table.goal_speed, table.torque_limit) if model.has(r) or r is table.goal_speed]
+        before |= {(i, r): get(bus, i, r) for r in limits}
+    again = {(i, bus.model_of(i).table.torque_enable): 0 for i in servo_ids} | before
     try:
         for i in servo_ids:
-            if bus.model.has(table.torque_limit):
-                put(bus, i, table.torque_limit, round(TORQUE_SHARE / units.torque))
-            put(bus, i, table.goal_speed, max(round(SPEED_RAD_S / units.speed_rad_s), 1))
+            model = bus.model_of(i)
+            if model.has(model.table.torque_limit):
+                put(bus, i, model.table.torque_limit, round(TORQUE_SHARE / model.units.torque))
+            put(bus, i, model.table.goal_speed, max(round(SPEED_RAD_S / model.units.speed_rad_s), 1))
         yield
     finally:
         try:
@@ -113,18 +116,20 @@ def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
     Goals are sent first, because not every firmware holds its position.
     """
     for i in servo_ids:
-        position = bus.model.position(get(bus, i, bus.model.table.present_position))
-        put(bus, i, bus.model.table.goal_position, min(max(position, 0), bus.model.units.max_position))
-        put(bus, i, bus.model.table.torque_enable, 1)
+        model = bus.model_of(i)
+        position = model.position(get(bus, i, model.table.present_position))
+        put(bus, i, model.table.goal_position, min(max(position, 0), model.units.max_position))
+        put(bus, i, model.table.torque_enable, 1)
 
 
 def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
     """Return angles (n,) [rad] of servos at rest, None while one moves."""
-    position, units = bus.model.table.present_position, bus.model.units
-    ticks = np.array([[bus.model.position(get(bus, i, position)) for i in servo_ids] for _ in range(_READS)])
-    if (np.ptp(ticks, axis=0) > round(_STILL_RAD / units.tick_rad)).any():
+    models = [bus.model_of(i) for i in servo_ids]
+    asked = [(i, model) for i, model in zip(servo_ids, models, strict=True)]
+    ticks = np.array([[model.position(get(bus, i, model.table.present_position)) for i, model in asked] for _ in range(_READS)])
+    if (np.ptp(ticks, axis=0) > [round(_STILL_RAD / model.units.tick_rad) for model in models]).any():
         return None
-    return np.array([units.angle(t) for t in np.median(ticks, axis=0)])
+    return np.array([model.units.angle(t) for model, t in zip(models, np.median(ticks, axis=0), strict=True)])
 
 
 def get(bus: ServoBus, servo_id: int, register: Register) -> int:

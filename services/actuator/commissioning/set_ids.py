@@ -127,7 +127,7 @@ def scan(line: Line, ids: Iterable[int] | None = None, known: Collection[int] | 
 def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
     """Return a table of the servos, one per line; "?" follows the joint of a servo with factory settings."""
     answering = {seen.servo_id: seen for _, seen in found}
-    unassigned = is_unassigned(answering, profile.servo_names, profile.servo_model)
+    unassigned = is_unassigned(answering, profile.servo_names)
     lines = [f"{'id':>3}  {'baud':>7}  {'model':<10} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
     for rate, seen in found:
         name = profile.servo_names.get(seen.servo_id, "")
@@ -136,7 +136,7 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
         if seen.response is not BusResponse.CLEAR:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
             continue
-        if seen.identified and seen.identified.table is not profile.servo_model.table:
+        if seen.identified and seen.identified.table is not seen.expected.table:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<10}")  # its measurements are in other registers
             continue
         firmware = "-" if seen.firmware is None else f"{seen.firmware}"
@@ -150,7 +150,7 @@ def holding(found: Sequence[Found], profile: RobotProfile) -> str:
     pulling = [
         one.seen.servo_id
         for one in found
-        if one.seen.response is BusResponse.CLEAR and one.seen[profile.servo_model.table.torque_enable]
+        if one.seen.response is BusResponse.CLEAR and one.seen[one.seen.expected.table.torque_enable]
     ]
     if not pulling:
         return ""
@@ -170,14 +170,14 @@ def verdict(
         each: Name each missing servo even if all are missing; otherwise that is one problem.
     """
     names = {i: name for i, name in profile.servo_names.items() if asked is None or i in asked}
-    usual = profile.servo_model.bus_rate
-    heard = {seen.servo_id: seen for rate, seen in found if rate == usual}
-    wrong = problems(names, heard, profile.servo_model)
+    heard = {seen.servo_id: seen for rate, seen in found if rate == seen.expected.bus_rate}
+    wrong = problems(names, heard)
     missing, unanswered = [i for i in names if i not in heard], []
     if not each and len(missing) == len(names) > 1:
         missing, unanswered = [], [Problem(f"none of {len(names)} servos answers", _NO_ANSWER_ADVICE)]
         wrong = {i: problem for i, problem in wrong.items() if i not in names}
     for rate, seen in found:
+        usual = seen.expected.bus_rate
         if rate != usual:
             reset = f"; {reset_servos(missing, names)}" if seen.servo_id == FACTORY_ID and missing else ""
             words = f"servo {seen.servo_id} answers at {rate} baud, {usual} expected{reset}"
@@ -197,13 +197,14 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
 
     This is advice: the actuator works with them.
     """
-    model, reach, found = profile.servo_model, _reach(profile), []
+    reach, found, servos = _reach(profile), [], dict(zip(profile.servo_names, profile.servos.each, strict=True))
     for one in seen:
+        model = one.expected
         if one.response is BusResponse.CLEAR and one.number == model.number and not one.is_wheel:
             told = [setting.words for setting in wrong_settings(one, model, reach[one.servo_id])]
             told += [
                 f"has a {register.name} of {one[register]}, {value} in the profile"
-                for register, value in profile.servo.controller_settings.items()
+                for register, value in servos[one.servo_id].controller_settings.items()
                 if one[register] != value
             ]
             words = "; ".join(dict.fromkeys(told))
@@ -214,9 +215,11 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
 def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
     """Return lowest and highest position register for each servo's joint, by id."""
     ends = np.sort([profile.servo_angles(profile.joint_limits[..., end]) for end in (0, 1)], axis=0)
-    units = profile.servo_model.units
-    ticks = np.clip(np.vectorize(units.ticks)(ends), 0, units.max_position)
-    return {int(i): (int(low), int(high)) for i, low, high in zip(profile.servo_ids.flat, *map(np.ravel, ticks), strict=True)}
+    found = {}
+    for (i, model), low, high in zip(profile.servo_models.items(), *map(np.ravel, ends), strict=True):
+        most = model.units.max_position
+        found[i] = (min(max(model.units.ticks(low), 0), most), min(max(model.units.ticks(high), 0), most))
+    return found
 
 
 # -------------------------------------------------------------------------------------------------------------- set-id
@@ -272,9 +275,8 @@ def _collide(found: Sequence[Found], operator: Operator) -> bool:
 def _has_place(one: Found, profile: RobotProfile) -> bool:
     """Return whether a servo has the robot's type and the id of a joint."""
     seen = one.seen
-    if seen.response is not BusResponse.CLEAR or seen.number != profile.servo_model.number:
-        return False
-    return seen.servo_id in profile.servo_names
+    model = profile.servo_models.get(seen.servo_id)
+    return model is not None and seen.response is BusResponse.CLEAR and seen.number == model.number
 
 
 def _is_set(one: Found, profile: RobotProfile) -> bool:
@@ -283,7 +285,7 @@ def _is_set(one: Found, profile: RobotProfile) -> bool:
     A servo with only the id was interrupted or is foreign.
     """
     seen = one.seen
-    model = profile.servo_model
+    model = seen.expected
     if one.rate != model.bus_rate or not _has_place(one, profile) or seen.is_wheel:
         return False
     wanted = {**model.joint_settings, model.table.baud_rate: model.rate_code(model.bus_rate)}
@@ -400,7 +402,7 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
     """
     bus, old = line.at(one.rate), one.seen.servo_id
     seen = (wake(bus, old) if one.seen.response is BusResponse.MUTE else None) or one.seen
-    wanted = profile.servo_model
+    wanted = profile.servo_models[target]
     if seen.response is not BusResponse.CLEAR or seen.number != wanted.number:
         what = f"it is an {seen.model}" if seen.response is BusResponse.CLEAR else f"it {seen.response.value}"
         instead = "plug in another one" if seen.response is BusResponse.CLEAR else "try again"

@@ -162,7 +162,7 @@ def _start(bus: ServoBus, servo_id: int) -> int:
     seen = scan_servo(bus, servo_id)
     if seen is None:
         raise NotReadyError(f"{named(servo_id, bus.names)} does not answer; check its power and cable")
-    wrong = problems({servo_id: bus.names.get(servo_id, "")}, {servo_id: seen}, bus.model)
+    wrong = problems({servo_id: bus.names.get(servo_id, "")}, {servo_id: seen})
     if servo_id in wrong:
         raise NotReadyError(": ".join(wrong[servo_id]))
     if errors := error_of(seen):

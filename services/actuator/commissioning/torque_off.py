@@ -24,11 +24,13 @@ def torque_off(bus: Servos) -> dict[int, str]:
     bus.set_torque(False)
     bus.open_session()
     bus.set_torque(False)
-    left, enable = {}, bus.model.table.torque_enable
+    left = {}
     for servo_id in bus.servo_ids:
+        model = bus.model_of(servo_id)
+        enable = model.table.torque_enable
         if other := _of_other_model(bus, servo_id):
             if not took(bus, servo_id, other.table.torque_enable, 0) or bus.read(servo_id, other.table.torque_enable):
-                left[servo_id] = f"is {other.name}, not {bus.model.name}, and does not turn its torque off"
+                left[servo_id] = f"is {other.name}, not {model.name}, and does not turn its torque off"
             continue
         if not took(bus, servo_id, enable, 0):
             left[servo_id] = "does not answer, or refuses the order"
@@ -39,10 +41,11 @@ def torque_off(bus: Servos) -> dict[int, str]:
 
 def _of_other_model(bus: Servos, servo_id: int) -> ServoModel | None:
     """Return the model of a servo whose torque is turned off by another register than that of the robot's servos."""
-    if bus.read(servo_id, bus.model.table.model_number) in (None, bus.model.number):
+    model = bus.model_of(servo_id)
+    if bus.read(servo_id, model.table.model_number) in (None, model.number):
         return None
-    alike = (one for one in MODELS if one.protocol.answer_start is bus.model.protocol.answer_start)
-    others = (one for one in alike if one.table.torque_enable != bus.model.table.torque_enable)
+    alike = (one for one in MODELS if one.protocol.answer_start is model.protocol.answer_start)
+    others = (one for one in alike if one.table.torque_enable != model.table.torque_enable)
     return next((one for one in others if bus.read(servo_id, one.table.model_number) == one.number), None)
 
 

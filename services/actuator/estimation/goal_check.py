@@ -29,7 +29,7 @@ class GoalCheck:
 
     def __init__(self, profile: RobotProfile):
         """Begin without a reading."""
-        self._servo = profile.servo
+        self._servos = profile.servos.each
         self._goals: list[list[float]] = []  # [rad] newest first
         self.forget()
 
@@ -49,7 +49,7 @@ class GoalCheck:
 
     def add_reading(self, index: int, angle: float, load: float) -> None:
         """Take in one reading: angle [rad] and motor torque [N m], both in joint direction."""
-        servo = self._servo
+        servo = self._servos[index]
         spring = load / servo.stiffness
         ahead = [goals[index] - angle for goals in self._goals]  # of the position
         if abs(load) > _SATURATED * servo.stall_torque:

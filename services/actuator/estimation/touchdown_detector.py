@@ -74,10 +74,11 @@ class TouchdownDetector:
         self._profile, self._params = profile, params or TouchdownParams()
         self.period_ns = 20_000_000  # [ns] from the last control cycle, in which goals were sent, to this one
         self.bridged = False  # whether readings come from a microcontroller, which reads in step with its goals
-        self._inertia = _leg_inertia(profile)
+        self._servos = tuple(profile.servos.each[FEMUR::3])  # of the femurs
+        self._inertia = _leg_inertias(profile)
         measures = Feedback.SPEED in profile.servo_model.feedback
         ratio = self._params.inertia_ratio
-        self._free = () if measures else tuple(FreeMotion(profile.servo, self._inertia * k) for k in (1.0 / ratio, ratio))
+        self._free = () if measures else tuple(FreeMotion(profile.servo, self._inertia[0] * k) for k in (1.0 / ratio, ratio))
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
         # All of them are lists, one number for each leg: readings come leg by leg.
         self._speed = [0.0] * 6  # [rad/s] of the femurs, by the newest readings
@@ -118,8 +119,8 @@ class TouchdownDetector:
         if not self._valid[leg]:
             self._push[leg] = self._push_before[leg] = 0.0  # acceleration is unknown
             return
-        servo = self._profile.servo
-        acceleration_torque = self._inertia * speed_change / (since_ns * 1e-9)
+        servo = self._servos[leg]
+        acceleration_torque = self._inertia[leg] * speed_change / (since_ns * 1e-9)
         friction = math.copysign(self._friction(leg), speed) if speed else 0.0
         motion_torque = servo.damping * speed + friction + acceleration_torque
         uncertainty = self._params.doubt_share * (
@@ -131,7 +132,7 @@ class TouchdownDetector:
 
     def _push_beyond_free(self, leg: int, femur: FemurReading) -> float:
         """Return the ground force [N] on a foot that keeps its femur from all angles that it may have in the air."""
-        servo, arm = self._profile.servo, self._arm[leg]
+        servo, arm = self._servos[leg], self._arm[leg]
         after_ns = min(max(femur.stamp_ns - femur.told_ns, 0), 2 * self.period_ns)
         angles = [free.at(leg, after_ns * 1e-9) for free in self._free]
         push = servo.stiffness * (femur.angle - min(max(femur.angle, min(angles)), max(angles)))
@@ -140,7 +141,7 @@ class TouchdownDetector:
 
     def _friction(self, leg: int) -> float:
         """Return the torque [N m] to allow for dry friction: beyond the friction itself, it hides only a share of a touch."""
-        params, friction = self._params, self._profile.servo.friction
+        params, friction = self._params, self._servos[leg].friction
         most = params.friction_share * params.touch_n * self._mass_ratio * self._arm[leg]
         return friction * min(params.friction_ratio, 1.0) + min(max(params.friction_ratio - 1.0, 0.0) * friction, most)
 
@@ -151,7 +152,7 @@ class TouchdownDetector:
         reading of a microcontroller in the first half of a period, or before new goals, is converted to the mean goal since the
         reading before.
         """
-        servo, goal = self._profile.servo, self._goal[leg]
+        servo, goal = self._servos[leg], self._goal[leg]
         since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), self.period_ns)
         before = goal - self._goal_change[leg]
         new, old = (_spring_torque(servo, aim, femur.angle) for aim in (goal, before))
@@ -217,11 +218,12 @@ def _spring_torque(servo: Servo, goal: float, angle: float) -> float:
     return min(max(servo.stiffness * (goal - angle), -servo.stall_torque), servo.stall_torque)
 
 
-def _leg_inertia(profile: RobotProfile) -> float:
-    """Return the inertia [kg m^2] about a femur axis, with the knee at 90 deg.
+def _leg_inertias(profile: RobotProfile) -> list[float]:
+    """Return the inertia [kg m^2] about each femur axis, with the knee at 90 deg.
 
     It is the sum of motor armature and links.
     """
     _, femur, tibia = profile.body.leg_link_masses
     arm = profile.links.femur**2 + (profile.links.tibia / 2) ** 2
-    return profile.servo.armature + femur * (profile.links.femur / 2) ** 2 + tibia * arm
+    armatures = profile.servos.armature[:, FEMUR].tolist()
+    return [armature + femur * (profile.links.femur / 2) ** 2 + tibia * arm for armature in armatures]

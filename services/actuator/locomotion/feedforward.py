@@ -129,9 +129,9 @@ def lag_feed_forward(profile: RobotProfile, q_rate: Array, held_s: float) -> Arr
     Returns:
         (6, 3) [rad]: half the motion between two goals, plus the position error whose torque maintains the speed.
     """
-    servo = profile.servo
-    rate = np.minimum(np.maximum(q_rate, -servo.no_load_speed), servo.no_load_speed)
-    return np.asarray(rate * (servo.damping / servo.stiffness + held_s / 2))
+    servos = profile.servos
+    rate = np.minimum(np.maximum(q_rate, -servos.no_load_speed), servos.no_load_speed)
+    return np.asarray(rate * (servos.damping / servos.stiffness + held_s / 2))
 
 
 def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array, R_level_body: Array) -> Array:
@@ -155,7 +155,7 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
     # While no leg may carry its whole load, as in standing up, the belly on the ground carries the rest.
     vertical = foot_forces(level, shares, profile.body.total_mass * GRAVITY * max(shares))
     horizontal = outward_forces(level, vertical)
-    servo, offset = profile.servo, profile.links.coxa
+    servos, offset = profile.servos, profile.links.coxa
     _, femur_mass, tibia_mass = profile.body.leg_link_masses
     sag = []
     for leg, (fx, fy), fz in zip(legs, horizontal, vertical, strict=True):
@@ -165,5 +165,5 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
         coxa = -(offset + leg.femur_x + leg.tibia_x) * aside
         tibia = leg.tibia_z * out - leg.tibia_x * up + GRAVITY * tibia_mass / 2 * leg.tibia_x
         femur = leg.femur_z * out - leg.femur_x * up + GRAVITY * (femur_mass / 2 + tibia_mass) * leg.femur_x + tibia
-        sag.append([min(max(torque, -servo.stall_torque), servo.stall_torque) for torque in (coxa, femur, tibia)])
-    return np.array(sag) / servo.stiffness
+        sag.append((coxa, femur, tibia))
+    return np.minimum(np.maximum(sag, -servos.stall_torque), servos.stall_torque) / servos.stiffness

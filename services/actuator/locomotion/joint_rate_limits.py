@@ -69,7 +69,7 @@ class JointRateLimits:
         if lost:
             wanted = q_goal.copy()
             wanted[lost] = q_last[lost]
-        limits, fastest = self._profile.joint_limits, self._profile.servo.no_load_speed
+        limits, fastest = self._profile.joint_limits, self._profile.servos.no_load_speed
         wanted = np.minimum(np.maximum(wanted, limits[..., 0]), limits[..., 1])
         gained = fastest / _FULL_SPEED_S * dt
         up = np.minimum(np.maximum(self._rates, 0.0) + gained, fastest)

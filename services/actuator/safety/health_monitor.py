@@ -81,7 +81,9 @@ class Health:
         self._voltage = np.nan  # [V] smoothed
         self._low_since: float | None = None
         # [deg C] The filter starts at the warm limit at most, because the first readings may be wrong, too.
-        self._temperature: Array = np.full(18, profile.servo.warm_temperature)
+        self._stall_torque = profile.servos.stall_torque.ravel()  # [N m]
+        self._limit = profile.servos.temperature_limit.ravel()  # [deg C]
+        self._temperature: Array = self._limit - WARM_K
         self._effort: Array = np.zeros(18)  # mean square share of the stall torque
         self._late = 0  # consecutive late cycles
         self._shutdowns = [_Shutdown() for _ in range(18)]
@@ -104,7 +106,7 @@ class Health:
         # Readings from before a servo, or all of them, fell silent are outdated.
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
-        share = vitals.load / self._profile.servo.stall_torque
+        share = vitals.load / self._stall_torque
         self._effort += (1.0 - math.exp(-dt / _LOAD_TIME_CONSTANT_S)) * (share * share - self._effort)
         some_silent = bool(np.count_nonzero(silent))
         voltage = np.where(silent, np.nan, vitals.voltage) if some_silent else vitals.voltage
@@ -225,12 +227,11 @@ class Health:
         """
         known = ~np.isnan(temperature)
         np.minimum(temperature, self._temperature + _MAX_WARMING_K_S * dt, out=self._temperature, where=known)
-        highest = float(self._temperature.max(where=known, initial=-np.inf))
-        below = self._profile.servo.temperature_limit - highest
+        below = float((self._limit - self._temperature).min(where=known, initial=np.inf))
         if below >= WARM_K:
             return Verdict()
-        hottest = int(np.argmax(np.where(known, self._temperature, -np.inf)))
-        words = f"{_named(self._profile, [hottest])} is {highest:.0f} deg C hot"
+        hottest = int(np.argmin(np.where(known, self._limit - self._temperature, np.inf)))
+        words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C hot"
         pace = max(_MIN_PACE, 1.0 - (1.0 - _MIN_PACE) * (WARM_K - below) / (WARM_K - _HOT_K))
         return Verdict(sit=words if below <= _HOT_K else "", pace=pace, warnings=(f"{words}; walking slower",))
 

@@ -144,12 +144,12 @@ class PlanCheck:
         flight = np.full(6, plan.duration - self._handover_s) if air_s is None else np.maximum(air_s, SHORTEST_LEFT_S)
         time = np.where(plan.swing, flight, plan.duration if air_s is None else np.inf)[:, None]
         share = np.minimum(MEAN_SPEED, time / GATHERED_S) if air_s is None else MEAN_SPEED  # it is already moving
-        most = self._profile.servo.no_load_speed * time * share
+        most = self._profile.servos.no_load_speed * time * share
         if not (turns > most).any():
             return ""
         leg, joint = np.argwhere(turns > most)[0]
         words = f"the {JOINTS[joint]} of the {LEGS[leg]} leg would turn by {np.degrees(turns[leg, joint]):.0f} deg"
-        return f"{words} in {time[leg, 0]:.2f} s, at most {np.degrees(most[leg, 0]):.0f} deg allowed"
+        return f"{words} in {time[leg, 0]:.2f} s, at most {np.degrees(most[leg, joint]):.0f} deg allowed"
 
     def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool) -> str:
         """Return which joint cannot reach its foot at the end, or an empty string.

@@ -6,7 +6,7 @@ broken, refused and implausible packets are counted by reason, and the last read
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +65,9 @@ _SINGLY_NS = 1_000_000_000  # [ns] for which servos are read one by one after a 
 _NS_PER_S = 1e9
 
 
+Polling = Generator[None, None, list[ServoReading]]
+
+
 class BusSetupError(ConnectionError):
     """The bus lacks servos that the robot needs; the message names the remedy."""
 
@@ -94,6 +97,7 @@ class ServoBus:
         clock: Callable[[], int],
         *,
         model: ServoModel = AX_12A,
+        models: Mapping[int, ServoModel] | None = None,
         names: Mapping[int, str] | None = None,
         echo: bool = False,
         reply_timeout_ns: int = REPLY_TIMEOUT_NS,
@@ -106,6 +110,7 @@ class ServoBus:
             servo_ids: Ids that the protocol allows, all different.
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The type of the servos, which `setup` verifies.
+            models: The types of servos by id, where they differ from `model`; they have the same registers.
             names: Leg and joint of each id, for messages.
             echo: The adapter returns every byte sent; exactly those are dropped.
             reply_timeout_ns: [ns] timeout of an answer.
@@ -124,12 +129,14 @@ class ServoBus:
         self.between: Callable[[], None] = _nothing  # called before each request outside the loop
         self._port = port
         self._clock = clock
-        self.model, self._lock = model, lock
-        self._protocol, self._table, self._units = model.protocol, model.table, model.units
+        self.model, self._lock, self._models = model, lock, models or {}
+        of_servos = [self.model_of(i) for i in servo_ids]
+        self._unit = [one.units for one in of_servos]  # of each servo
+        self._protocol, self._table = model.protocol, model.table
         self._line = SerialLine(port, clock, model, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
         self._loss = LossRate(_LOSS_WINDOW_NS)
-        self._validator, self._decode = ReadingValidator(n, model), state_decoder(model)
+        self._validator, self._decode = ReadingValidator(of_servos), state_decoder(model)
 
         address, self._answer_size = self._state_bytes()  # of what is read in the loop
         self._requests = [self._protocol.read(i, address, self._answer_size) for i in servo_ids]
@@ -137,7 +144,7 @@ class ServoBus:
         self._most_late = n  # late servos that come before the urgent ones in one call
         self._next = 0
         self._singly_until_ns = 0  # [ns] time up to which no request reads several servos
-        self._fast = FastRead(model)
+        self._fast = FastRead(of_servos)
         self._again: list[int] = []  # indices to be read first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
@@ -159,6 +166,10 @@ class ServoBus:
     def __len__(self) -> int:
         """Number of servos."""
         return len(self.servo_ids)
+
+    def model_of(self, servo_id: int) -> ServoModel:
+        """Return the expected model of a servo."""
+        return self._models.get(servo_id, self.model)
 
     @property
     def lost(self) -> Counter[str]:
@@ -262,7 +273,7 @@ class ServoBus:
                 f"none of the {len(self)} servos answers; check their power, the adapter, its echo setting and the baud rate, "
                 f"then try `sextant servos scan`"
             )
-        wrong = bus_scan.problems(self.names, seen, self.model)
+        wrong = bus_scan.problems(self.names, seen)
         self._fast.set_firmware(min((one.firmware or 0 for one in seen.values() if one.table), default=0))
         for i in self.names.keys() - wrong.keys():
             if words := bus_scan.prepare(self, seen[i], self._lock):
@@ -342,8 +353,18 @@ class ServoBus:
         Raises:
             BusDisconnectedError: The port is gone.
         """
+        polling = self.polling(budget_ns, first)
+        while True:
+            try:
+                next(polling)
+            except StopIteration as end:
+                readings: list[ServoReading] = end.value
+                return readings
+
+    def polling(self, budget_ns: int, first: Sequence[int] = ()) -> Polling:
+        """Do the same as `poll`, and yield between each request and its answer, when other buses can be asked."""
         if self.model.sync_read is not None and self._clock() >= self._singly_until_ns:
-            return self._poll_together(self.model.sync_read, budget_ns, first)
+            return (yield from self._poll_together(self.model.sync_read, budget_ns, first))
         readings: list[ServoReading] = []
         start = self._clock()
         end = start + budget_ns
@@ -355,7 +376,7 @@ class ServoBus:
                 self._next = (i + 1) % len(self)
             if self._is_skipped(i):
                 continue
-            found = self._look(i, end)
+            found = yield from self._look(i, end)
             if found is not None:
                 readings.append(found)
             elif self.missed[i] <= _AT_ONCE:
@@ -393,7 +414,7 @@ class ServoBus:
         late = sorted(late, key=lambda i: (self.missed[i] == 0, self._asked_ns[i]))[: self._most_late]
         return deque(dict.fromkeys((*late, *urgent, *others))), others
 
-    def _look(self, index: int, end_ns: int, *, heard: bool = False) -> ServoReading | None:
+    def _look(self, index: int, end_ns: int, *, heard: bool = False) -> Generator[None, None, ServoReading | None]:
         """Read one servo until its answer is plausible; `heard` tells whether it has just answered.
 
         A request begins by `end_ns` and ends within a timeout. A servo whose position is none that it has counts as silent.
@@ -403,7 +424,9 @@ class ServoBus:
             if start > end_ns:
                 break
             self._asked_ns[index] = start
-            answer = self._line.exchange(self._requests[index], self.servo_ids[index], self._answer_size, end_ns, start)
+            self._line.ask(self._requests[index], start)
+            yield
+            answer = self._line.answer(self.servo_ids[index], self._answer_size, end_ns, start)
             done = self._clock()
             heard = answer is not None and not self._refuses(answer)
             found = self._taken(index, start, answer if heard else None, done)
@@ -418,7 +441,7 @@ class ServoBus:
             self._leave_alone(index)
         return None
 
-    def _poll_together(self, sync_read: SyncRead, budget_ns: int, first: Sequence[int]) -> list[ServoReading]:
+    def _poll_together(self, sync_read: SyncRead, budget_ns: int, first: Sequence[int]) -> Polling:
         """Read as many servos as fit a time budget with one request, then those again whose answers are missing or doubtful."""
         start = self._clock()
         end = start + budget_ns
@@ -433,10 +456,13 @@ class ServoBus:
         self._next = (asked[-1] + 1) % len(self)
         ids = [self.servo_ids[i] for i in asked]
         if is_fast:
-            request = dynamixel2.fast_sync_read(state.address, state.size, ids)
-            answers = self._line.exchange_fast(request, ids, state.size, start)
+            self._line.ask(dynamixel2.fast_sync_read(state.address, state.size, ids), start)
+            yield
+            answers = self._line.fast_answers(ids, state.size, start)
         else:
-            answers = self._line.exchange_together(sync_read(state.address, state.size, ids), ids, state.size, start)
+            self._line.ask(sync_read(state.address, state.size, ids), start)
+            yield
+            answers = self._line.answers(ids, state.size, start)
         done = self._clock()
         if is_fast:
             self._fast.note(done, complete=len(answers) == len(ids))
@@ -446,7 +472,7 @@ class ServoBus:
         self._again = []
         for i in asked:
             self._asked_ns[i] = start
-            taken[i] = taken[i] or self._look(i, end, heard=self.servo_ids[i] in answers)
+            taken[i] = taken[i] or (yield from self._look(i, end, heard=self.servo_ids[i] in answers))
             if taken[i] is None and self.missed[i] <= _AT_ONCE:
                 self._again.append(i)
         if self._alerts:
@@ -513,7 +539,7 @@ class ServoBus:
 
     def _reading_of(self, index: int, state: State, error: ServoError) -> ServoReading:
         """Return the reading of an accepted state."""
-        return reading(index, self.servo_ids[index], self._told_ns, state, error, self._units)
+        return reading(index, self.servo_ids[index], self._told_ns, state, error, self._unit[index])
 
     def _read_alert(self, end_ns: int) -> None:
         """Read the hardware errors of one servo that alerts, that whose errors were read longest ago.
@@ -530,7 +556,7 @@ class ServoBus:
         servo_id = self.servo_ids[index]
         answer = self._line.exchange(self._protocol.read(servo_id, register.address, register.size), servo_id, 1, end_ns, start)
         if answer is not None and answer.parameters:
-            self._alerts[index] |= self.model.hardware_errors(answer.parameters[0])
+            self._alerts[index] |= self.model_of(servo_id).hardware_errors(answer.parameters[0])
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer with `size` parameters, or None.

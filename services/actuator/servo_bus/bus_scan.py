@@ -66,7 +66,8 @@ class Setting(NamedTuple):
 class Bus(Protocol):
     """Part of `ServoBus` that is used here."""
 
-    model: ServoModel  # type of the robot's servos
+    def model_of(self, servo_id: int) -> ServoModel:
+        """Return the expected model of a servo."""
 
     @property
     def garbled(self) -> int:
@@ -184,7 +185,8 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
     crowd = (listen or error is None) and _crowded(bus, servo_id)
     if error is None and not crowd:
         return None
-    expected, table = bus.model, bus.model.table
+    expected = bus.model_of(servo_id)
+    table = expected.table
     register = table.model_number
     model = retry(lambda: bus.read(servo_id, register))
     if model == int.from_bytes((register.address, register.size), "little"):  # the request, read as its own answer
@@ -233,7 +235,7 @@ def call(bus: Bus, names: Mapping[int, str]) -> dict[int, ServoScan]:
     return seen
 
 
-def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan], model: ServoModel) -> dict[int, Problem]:
+def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan]) -> dict[int, Problem]:
     """Return the problems of a robot's servos, by id; servos that one fault of a cable silences share one problem.
 
     A foreign servo with the factory id may be a missing one after a reset, and so may the servo of the joint with that id, if
@@ -242,17 +244,16 @@ def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan], model: Ser
     Args:
         names: Id -> leg and joint, as "left rear femur"; empty without a name.
         seen: Scan results by id.
-        model: The expected type of all servos.
     """
     missing = [i for i in names if i not in seen]
-    found = {i: problem for i in seen if i in names and (problem := _wrong(seen[i], model))}
+    found = {i: problem for i in seen if i in names and (problem := _wrong(seen[i]))}
     for i in sorted(seen.keys() - names.keys()):
         found[i] = Problem("is not one of the robot's servos", SET_ID)
     first = seen.get(FACTORY_ID)
     if first and missing and (FACTORY_ID not in names or first.response is BusResponse.DOUBLED):
         words, advice = found[FACTORY_ID]
         found[FACTORY_ID] = Problem(f"{words}; {reset_servos(missing, names)}", advice)
-    if FACTORY_ID not in found and is_unassigned(seen, names, model):
+    if FACTORY_ID not in found and is_unassigned(seen, names):
         words = f"has factory settings, so it may be a new servo of another joint; {reset_servos(missing, names)}"
         found[FACTORY_ID] = Problem(words, f"{SET_ID}, and type the leg and joint where it is mounted")
     alone = _shared(found, names) or {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
@@ -268,7 +269,7 @@ def _shared(found: Mapping[int, Problem], names: Mapping[int, str]) -> dict[int,
     return dict.fromkeys(found, Problem(f"each of the {len(found)} servos {words}", advice))
 
 
-def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str], model: ServoModel) -> bool:
+def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str]) -> bool:
     """Return whether the servo with the factory id may belong to any joint, although a joint has that id.
 
     It has the factory's value of the setting that `sextant servos set-id` changes last, and no other servo of the robot has it;
@@ -276,16 +277,16 @@ def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str], model
     """
     first = seen.get(FACTORY_ID)
     if (
-        not model.joint_settings
-        or first is None
+        first is None
+        or not first.expected.joint_settings
         or FACTORY_ID not in names
         or first.response is not BusResponse.CLEAR
         or names.keys() <= seen.keys()
     ):
         return False
     others = [one for i, one in seen.items() if i in names and i != FACTORY_ID and one.response is BusResponse.CLEAR]
-    register = next(reversed(model.joint_settings))
-    new = model.default(register)
+    register = next(reversed(first.expected.joint_settings))
+    new = first.expected.default(register)
     return first[register] == new and all(one[register] != new for one in others)
 
 
@@ -346,8 +347,9 @@ def named(servo_id: int, names: Mapping[int, str]) -> str:
     return f"servo {servo_id} ({name})" if name else f"servo {servo_id}"
 
 
-def _wrong(seen: ServoScan, model: ServoModel) -> Problem | None:
+def _wrong(seen: ServoScan) -> Problem | None:
     """Return the problem of a servo that answers, or None."""
+    model = seen.expected
     if seen.response is not BusResponse.CLEAR:
         return Problem(seen.response.value, _REMEDIES[seen.response])
     if seen.number != model.number:
@@ -432,7 +434,7 @@ def prepare(bus: Bus, seen: ServoScan, lock: bool) -> str:
 
     EEPROM is written only where it differs.
     """
-    model = bus.model
+    model = seen.expected
     locked = ((model.table.lock, 1),) if lock and model.table.lock else ()
     for register, value in (*model.joint_settings.items(), *locked):
         if seen[register] != value and not ensure(bus, seen.servo_id, register, value):
@@ -446,8 +448,9 @@ def wake(bus: Bus, servo_id: int) -> ServoScan | None:
 
     The write itself is not acknowledged.
     """
-    level = bus.model.table.status_return_level
-    bus.write_unacknowledged(servo_id, level, bus.model.joint_settings[level])
+    model = bus.model_of(servo_id)
+    level = model.table.status_return_level
+    bus.write_unacknowledged(servo_id, level, model.joint_settings[level])
     return scan_servo(bus, servo_id, listen=False)
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sextant.services.actuator.servo_bus.bus_driver import REPLY_TIMEOUT_NS, Port, ServoBus, whole
+from sextant.services.actuator.servo_bus.bus_driver import REPLY_TIMEOUT_NS, Polling, Port, ServoBus, whole
 from sextant.services.actuator.servo_bus.reading_validation import State
 from sextant.services.actuator.servo_bus.servo_reading import PositionReadings, ServoReading
 from sextant.shared.servo.servo_model import Feedback, Register, ServoError, ServoModel
@@ -48,6 +48,7 @@ class CommandBus(ServoBus):
         clock: Callable[[], int],
         *,
         model: ServoModel,
+        models: Mapping[int, ServoModel] | None = None,
         names: Mapping[int, str] | None = None,
         echo: bool = False,
         reply_timeout_ns: int = REPLY_TIMEOUT_NS,
@@ -61,6 +62,7 @@ class CommandBus(ServoBus):
             servo_ids: Ids that the protocol allows, all different.
             clock: Monotonic time [ns].
             model: The type of the servos, which do not tell it.
+            models: Must be those of all servos, or nothing.
             names: Leg and joint of each id, for messages.
             echo: The adapter returns every byte sent.
             reply_timeout_ns: [ns] timeout of an answer.
@@ -73,8 +75,17 @@ class CommandBus(ServoBus):
         if model.commands is None:
             raise ValueError(f"a model with commands expected, found {model.name}")
         self._commands = model.commands
+        self._units = model.units
         super().__init__(
-            port, servo_ids, clock, model=model, names=names, echo=echo, reply_timeout_ns=reply_timeout_ns, lock=lock
+            port,
+            servo_ids,
+            clock,
+            model=model,
+            models=models,
+            names=names,
+            echo=echo,
+            reply_timeout_ns=reply_timeout_ns,
+            lock=lock,
         )
         n = len(self.servo_ids)
         self._readings = PositionReadings(n, self._units, model.gain_stiffness if stiffness is None else stiffness)
@@ -229,7 +240,7 @@ class CommandBus(ServoBus):
         if enabled:
             self._sent[:] = _UNKNOWN  # whether it makes the present position the goal is not published
 
-    def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
+    def polling(self, budget_ns: int, first: Sequence[int] = ()) -> Polling:
         """Read positions within a time budget, see `ServoBus`; in some calls also the voltage or temperature of one servo."""
         began = self._began_ns = self._clock()
         if budget_ns <= 0 or self._busy_until_ns - began > _LONGEST_NS:  # goals of all servos are on the wire
@@ -238,7 +249,7 @@ class CommandBus(ServoBus):
         if self._calls % _SLOW_EVERY == 0:
             index = self._read_slowly(began + budget_ns)
             first = (index, *(i for i in first if i != index))  # its reading reports it
-        return super().poll(max(began + budget_ns - self._clock(), 1), first)
+        return (yield from super().polling(max(began + budget_ns - self._clock(), 1), first))
 
     # ----------------------------------------------------------------------------------------------- below the words
 

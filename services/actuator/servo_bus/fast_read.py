@@ -4,6 +4,8 @@ Its one answer is shorter than the answers to a sync read, but each servo contin
 silent servo, and behind a broken byte, the rest of the answer is lost.
 """
 
+from collections.abc import Iterable
+
 from sextant.shared.servo.servo_model import ServoModel
 
 _PLAIN_NS = 1_000_000_000  # [ns] of sync reads after an incomplete answer
@@ -13,9 +15,10 @@ _TRIES = 3  # consecutive incomplete answers after which no fast sync read is se
 class FastRead:
     """Decides between a fast sync read and a sync read, by the answers so far."""
 
-    def __init__(self, model: ServoModel) -> None:
-        """Begin with fast sync reads if there is a firmware for this model that answers them."""
-        self._since = model.fast_firmware
+    def __init__(self, models: Iterable[ServoModel]) -> None:
+        """Begin with fast sync reads if each of these models has a firmware that answers them."""
+        since = [model.fast_firmware for model in models]
+        self._since = None if None in since else max(filter(None, since), default=None)
         self._tries = 0 if self._since is None else _TRIES
         self._plain_until_ns = 0
 

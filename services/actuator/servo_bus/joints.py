@@ -13,11 +13,12 @@ from sextant.services.actuator.servo_bus import shutdown
 from sextant.services.actuator.servo_bus.assumed_motion import WORDS, AssumedMotion
 from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
+from sextant.services.actuator.servo_bus.joint_units import JointUnits
 from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Servos, connect
 from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo.servo_model import Feedback, Recovery, ServoError, ServoModel, signed
+from sextant.shared.servo.servo_model import Feedback, Recovery, ServoError
 
 _STARTUP_TIMEOUT_NS = 3_000_000_000  # [ns] for the first answers: a simulation starts late, and a USB hub wakes up slowly
 _ADOPT_WITHIN_RAD = np.radians(10.0)  # [rad] between a joint and the goal in its servo, up to which that goal is kept
@@ -56,9 +57,11 @@ class Joints:
             ConnectionError: A servo has stopped answering.
         """
         self._profile, self._settings, self._clock = profile, settings, clock
-        self._table, self._units = profile.servo_model.table, profile.servo_model.units
+        self._models, self._units = profile.servos.models, JointUnits(profile)
         self._measures_load = Feedback.LOAD in profile.servo_model.feedback
         self._opener = opener or PortFinder(settings, profile.servo_model.bus_rate).open
+        self._stall_torque = profile.servos.stall_torque.ravel().tolist()  # [N m]
+        self._reboots = np.array([model.recovery is Recovery.REBOOT for model in self._models])
         self.offsets = np.zeros((6, 3))  # [rad] by which links are ahead of their encoders, besides the profile's trims
         self._set_horns()
         self._budget_ns = round(settings.read_budget_ms * 1e6)
@@ -80,7 +83,7 @@ class Joints:
         self._torque_flags = b""  # torque and errors of the servos for which the next were computed
         self._torque_disabled = np.zeros((6, 3), dtype=np.bool_), np.zeros(6, dtype=np.bool_)
         self.strength = np.ones(18)  # torque limit of each servo, as a share of its maximum
-        self._max_torque = np.full(18, self._table.torque_limit.max)  # Max Torque register of each servo
+        self._max_torque = np.array([model.table.torque_limit.max for model in self._models])  # Max Torque registers
         self._adopt_state([self._wait_for_state(i) for i in self._bus.servo_ids])
         self._bus.between = _do_nothing
         self.voltage = np.full(18, np.nan)  # [V]
@@ -209,7 +212,7 @@ class Joints:
         silent = self._bus.missed >= SILENT
         if np.count_nonzero(silent):
             self._catching_up.leave_behind(silent, LOWERED)
-        ticks, speeds = self._goal_ticks(self.goals), speed_ticks(self._catching_up.speed_limits, self._profile.servo_model)
+        ticks, speeds = self._goal_ticks(self.goals), self._units.speed_ticks(self._catching_up.speed_limits)
         self._call_bus(lambda: self._bus.sync_write_goals(ticks, speeds))
 
     def correct(self, offsets: Array) -> None:
@@ -255,10 +258,9 @@ class Joints:
             self._call_bus(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
         self._torque_loss.doubt_all()
-        down = np.zeros(18, dtype=np.bool_)
-        if self._profile.servo_model.recovery is Recovery.REBOOT:  # a servo that has cooled; it gets torque by the next order
-            cool = ~(self.temperature >= self._profile.servo.temperature_limit)
-            down = (self._bus.errors & np.uint8(SHUT_DOWN) > 0) & cool
+        # A servo that reboots and has cooled gets torque by the next order.
+        cool = ~(self.temperature >= self._profile.servos.temperature_limit.ravel())
+        down = (self._bus.errors & np.uint8(SHUT_DOWN) > 0) & cool & self._reboots
         for index in np.flatnonzero(weak | down).tolist():
             self._call_bus(partial(self._restore_torque_limit, index))
 
@@ -267,7 +269,7 @@ class Joints:
 
         A joint beyond its limit returns to the limit slowly.
         """
-        if self._profile.servo_model.recovery is Recovery.REBOOT:  # only an operator's order reboots a servo
+        if self._reboots[index]:  # only an operator's order reboots a servo
             return
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
@@ -283,7 +285,8 @@ class Joints:
         """
         if not self._measures_load:
             return self.load
-        return self._torques([self._bus.read(i, self._table.present_load) or 0 for i in self._bus.servo_ids])
+        asked = zip(self._bus.servo_ids, self._models, strict=True)
+        return self._torques([self._bus.read(i, model.table.present_load) or 0 for i, model in asked])
 
     # ------------------------------------------------------------------------------------------------- the bus itself
 
@@ -318,7 +321,7 @@ class Joints:
         sign, horn = self._signs_and_horns[index]
         q = sign * reading.position - horn
         self.q[leg, joint] = q
-        self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
+        self.load[leg, joint] = sign * reading.load * self._stall_torque[index]
         if reading.voltage == reading.voltage:  # not NaN
             self.voltage[index], self._voltage_ns[index] = reading.voltage, reading.stamp_ns
         elif reading.stamp_ns - self._voltage_ns[index] > _VOLTAGE_NS:
@@ -344,7 +347,7 @@ class Joints:
     def _check_torque_loss(self, answering: Iterable[int]) -> None:
         """Read Torque Enable of a few servos that answer, and keep which ones have lost torque."""
         for index in self._torque_loss.due(answering, self.torque):
-            enabled = self._bus.read(self._bus.servo_ids[index], self._table.torque_enable)
+            enabled = self._bus.read(self._bus.servo_ids[index], self._models[index].table.torque_enable)
             if enabled is not None:
                 self.torque[index] = bool(enabled)
                 self._torque_loss.confirm(index)
@@ -355,12 +358,13 @@ class Joints:
         servo_id, goal = self._bus.servo_ids[index], self._goal_ticks(self.goals)[index]
         if shutdown.end(self._bus, servo_id, int(goal), int(self._max_torque[index]), self._may_pull):
             self.strength[index] = 1.0
-        elif self._bus.model.recovery is Recovery.REBOOT:
+        elif self._reboots[index]:
             self.torque[index] = False
 
     def _read_torque(self) -> None:
         """Read Torque Enable of all servos; one that does not answer has none."""
-        self.torque = np.array([bool(self._bus.read(i, self._table.torque_enable)) for i in self._bus.servo_ids])
+        asked = zip(self._bus.servo_ids, self._models, strict=True)
+        self.torque = np.array([bool(self._bus.read(i, model.table.torque_enable)) for i, model in asked])
 
     def _may_pull(self) -> bool:
         """Return whether no order keeps torque off."""
@@ -404,30 +408,30 @@ class Joints:
 
     def _adopt_state(self, tables: list[bytes]) -> None:
         """Adopt the state of each servo; a goal far from its joint is replaced by the joint angle."""
-        found = [self._table.condition.unpack(table) for table in tables]
+        found = [model.table.condition.unpack(table) for model, table in zip(self._models, tables, strict=True)]
         max_torque, enabled, goals, limits, ticks, loads = np.array(found).T
         self.torque = enabled.astype(np.bool_) & (not self._off_ordered)  # a servo that has missed torque off receives it again
         self._max_torque = max_torque
         self.strength = np.minimum(limits / np.maximum(max_torque, 1), 1.0)
-        position = self._profile.servo_model.position
-        self.q, goal_angles = self._angles(map(position, ticks.tolist())), self._angles(goals)
+        positions = [model.position(value) for model, value in zip(self._models, ticks.tolist(), strict=True)]
+        self.q, goal_angles = self._angles(positions), self._angles(goals)
         if self._assumed is not None:
             self.q = self._assumed.start(goal_angles, self.torque.reshape(6, 3))
-        spring = np.where(self.torque.reshape(6, 3), goal_angles - self.q, 0.0) * self._profile.servo.stiffness
-        most = self._profile.servo.stall_torque
+        spring = np.where(self.torque.reshape(6, 3), goal_angles - self.q, 0.0) * self._profile.servos.stiffness
+        most = self._profile.servos.stall_torque
         # Earlier readings may be those of a moving robot.
         self.load = self._torques(loads.tolist()) if self._measures_load else np.minimum(np.maximum(spring, -most), most)
         self.goals = np.where(np.abs(goal_angles - self.q) < _ADOPT_WITHIN_RAD, goal_angles, self.q)
 
     def _torques(self, loads: Sequence[int]) -> Array:
         """Return motor torques (6, 3) [N m] from load registers (18,)."""
-        load, sign = self._table.present_load, self._units.load_sign
-        shares = np.array([signed(value, sign, load.size) * self._units.load for value in loads]).reshape(6, 3)
-        return np.asarray(self._profile.servo_signs * shares * self._profile.servo.stall_torque)
+        shares = np.array([model.load(value) for model, value in zip(self._models, loads, strict=True)]).reshape(6, 3)
+        return np.asarray(self._profile.servo_signs * shares * self._profile.servos.stall_torque)
 
     def _read_state(self, servo_id: int) -> bytes | None:
         """Read the state block of a servo, None when it does not answer."""
-        return self._bus.read_bytes(servo_id, self._table.condition.address, self._table.condition.size)
+        condition = self._bus.model_of(servo_id).table.condition
+        return self._bus.read_bytes(servo_id, condition.address, condition.size)
 
     def _wait_for_state(self, servo_id: int) -> bytes:
         """Read the state block of a servo, and repeat the request until it has answered."""
@@ -446,21 +450,12 @@ class Joints:
 
     def _angles(self, ticks: Iterable[int]) -> Array:
         """Return joint angles (6, 3) [rad] of position registers (18,)."""
-        servo = np.array([self._units.angle(t) for t in ticks]).reshape(6, 3)
-        return np.asarray(self._profile.joint_angles(servo) + self.offsets)
+        servo = [model.units.angle(t) for model, t in zip(self._models, ticks, strict=True)]
+        return np.asarray(self._profile.joint_angles(np.array(servo).reshape(6, 3)) + self.offsets)
 
     def _goal_ticks(self, q: Array) -> NDArray[np.int64]:
         """Return goal registers (18,) of joint angles (6, 3) [rad]."""
-        ticks = np.rint(self._units.centre + self._profile.servo_angles(q - self.offsets).ravel() / self._units.tick_rad)
-        return np.minimum(np.maximum(ticks, 0.0), self._units.max_position).astype(np.int64)
-
-
-def speed_ticks(limits: Array, model: ServoModel) -> NDArray[np.int64]:
-    """Return goal speed registers (n,) of speed limits (n,) [rad/s]; 0 means no limit in both."""
-    if not limits.any():
-        return np.zeros(len(limits), dtype=np.int64)
-    ticks = np.clip(np.rint(limits / model.units.speed_rad_s), 1, model.table.goal_speed.max)
-    return np.where(limits > 0.0, ticks, 0).astype(np.int64)
+        return self._units.goal_ticks(self._profile.servo_angles(q - self.offsets).ravel())
 
 
 def _do_nothing() -> None:

@@ -127,6 +127,10 @@ class Bridge:
     def between(self, do: Callable[[], None]) -> None:
         self._registers.between = do
 
+    def model_of(self, servo_id: int) -> ServoModel:
+        """Return the model of a servo, which is that of all."""
+        return self.model
+
     def __len__(self) -> int:
         """Number of servos."""
         return len(self.servo_ids)

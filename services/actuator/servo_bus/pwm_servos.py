@@ -18,7 +18,7 @@ from sextant.services.actuator.servo_bus.pulse_boards import PulseBoard, open_bo
 from sextant.services.actuator.servo_bus.serial_port import Port
 from sextant.services.actuator.servo_bus.servo_reading import ServoReading
 from sextant.shared.servo.pwm import SPEED_TICKS_S, Pulses, model_of
-from sextant.shared.servo.servo_model import Register
+from sextant.shared.servo.servo_model import Register, ServoModel
 
 LEG_S = 0.5  # [s] between the first pulses of two legs
 _PER_LEG = 3  # servos that get their first pulses together
@@ -59,6 +59,10 @@ class PwmServos:
         self._next = 0  # channel to ask for next
         self._answered_ns = -1  # [ns] newest answer of the board
         self._unanswered = 0  # consecutive requests in the loop
+
+    def model_of(self, servo_id: int) -> ServoModel:
+        """Return the model of a servo, which is that of all."""
+        return self.model
 
     def __len__(self) -> int:
         """Number of servos."""

@@ -6,7 +6,7 @@ but one were within the range of `_leaps`, and 99 % within 4 ticks of the goals 
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -74,11 +74,33 @@ def state_decoder(model: ServoModel) -> Callable[[int, tuple[int, ...], int], St
     return decode
 
 
+class _Limits:
+    """Limits of the readings of servos of a model, in its units."""
+
+    def __init__(self, model: ServoModel) -> None:
+        units = self.units = model.units
+        self.max_speed = _MAX_SPEED_RATIO * model.no_load_speed  # [rad/s]
+        self.unknown_errors = ~int(model.errors)
+        self.speed_range = units.speed_sign.largest(model.table.present_speed.size)  # [ticks]
+        self.load_range = units.load_sign.largest(model.table.present_load.size)  # [ticks]
+        self.leap = round(_LEAP_RAD / units.tick_rad)  # [ticks]
+        self.same_position, self.max_motion = (
+            round(_SAME_POSITION_RAD / units.tick_rad),
+            round(_MAX_MOTION_RAD / units.tick_rad),
+        )
+        self.speed_leap, self.load_leap = (
+            round(_SPEED_LEAP_RAD_S / units.speed_rad_s),
+            round(_LOAD_LEAP / units.load),
+        )  # [ticks]
+
+
 class ReadingValidator:
     """Checks the next readings of n servos against their last accepted ones."""
 
-    def __init__(self, n: int, model: ServoModel) -> None:
-        """Begin without readings of n servos of a model."""
+    def __init__(self, models: Sequence[ServoModel]) -> None:
+        """Begin without readings of servos of these models (n,), which share the unit of voltage."""
+        n, limits = len(models), {model: _Limits(model) for model in models}
+        self._limits = [limits[model] for model in models]
         self.refused: Counter[str] = Counter()  # readings that were rejected, by `Implausibility`
         self.refusals = 0  # number of them
         self._accepted: list[State | None] = [None] * n  # last accepted reading of each servo
@@ -88,20 +110,6 @@ class ReadingValidator:
         self._goals: deque[list[int]] = deque(maxlen=_RECENT_GOALS)
         self._lowest: list[int] = []  # [ticks] of the recent goals of each servo
         self._highest: list[int] = []
-        units = self._units = model.units
-        self._max_speed = _MAX_SPEED_RATIO * model.no_load_speed  # [rad/s]
-        self._unknown_errors = ~int(model.errors)
-        self._speed_range = units.speed_sign.largest(model.table.present_speed.size)  # [ticks]
-        self._load_range = units.load_sign.largest(model.table.present_load.size)  # [ticks]
-        self._leap = round(_LEAP_RAD / units.tick_rad)  # [ticks]
-        self._same_position, self._max_motion = (
-            round(_SAME_POSITION_RAD / units.tick_rad),
-            round(_MAX_MOTION_RAD / units.tick_rad),
-        )
-        self._speed_leap, self._load_leap = (
-            round(_SPEED_LEAP_RAD_S / units.speed_rad_s),
-            round(_LOAD_LEAP / units.load),
-        )  # [ticks]
         self._goal_offset = [0] * n  # [ticks] distance of each last accepted position from the range of its recent goals
 
     def sent(self, goal_ticks: list[int]) -> None:
@@ -126,7 +134,7 @@ class ReadingValidator:
             self._refuse(doubt)
             return False
         doubted = self._doubted[index]
-        if doubt is not None and doubted is not None and self._agree(doubted[0], state):
+        if doubt is not None and doubted is not None and _agree(self._limits[index], doubted[0], state):
             doubt, doubted = None, None
         if doubted is not None:
             self._refuse(doubted[1])
@@ -154,12 +162,13 @@ class ReadingValidator:
 
     def _find_implausibility(self, index: int, state: State, noisy: bool) -> Implausibility | None:
         """Return why a reading is doubtful, or None."""
-        units = self._units
-        too_large = abs(state.speed) > self._speed_range or abs(state.load) > self._load_range
+        limits = self._limits[index]
+        units = limits.units
+        too_large = abs(state.speed) > limits.speed_range or abs(state.load) > limits.load_range
         if (
             too_large
             or not -units.overrun <= state.position <= units.max_position + units.overrun
-            or state.error & self._unknown_errors
+            or state.error & limits.unknown_errors
         ):
             return Implausibility.RANGE
         before = self._accepted[index]
@@ -167,11 +176,11 @@ class ReadingValidator:
             return Implausibility.FIRST if noisy else None
         elapsed = (state.stamp_ns - before.stamp_ns) / _NS_PER_S
         speed, speed_leap, load_leap = abs(state.speed), abs(state.speed - before.speed), abs(state.load - before.load)
-        if self._leaps(index, before.position, state.position, elapsed):
+        if self._leaps(index, limits, before.position, state.position, elapsed):
             return Implausibility.POSITION
-        if speed_leap > self._speed_leap and (noisy or speed * units.speed_rad_s > self._max_speed):
+        if speed_leap > limits.speed_leap and (noisy or speed * units.speed_rad_s > limits.max_speed):
             return Implausibility.SPEED
-        if noisy and load_leap > self._load_leap:
+        if noisy and load_leap > limits.load_leap:
             return Implausibility.LOAD
         if self._voltage is not None and abs(state.voltage - self._voltage) * units.volt > _VOLTAGE_LEAP_V:
             return Implausibility.VOLTAGE
@@ -182,24 +191,25 @@ class ReadingValidator:
         alike = state[1:] == before[1:] and speed * units.speed_rad_s * elapsed > _MIN_MOTION_RAD
         return Implausibility.AGAIN if alike else None
 
-    def _leaps(self, index: int, before: int, position: int, elapsed: float) -> bool:
+    def _leaps(self, index: int, limits: _Limits, before: int, position: int, elapsed: float) -> bool:
         """Return whether a position is far outside the range of recent goals, or too far to reach in the time.
 
         The range is extended by the last accepted distance from it, because load and delay keep a servo off its goals.
         """
         low, high = self._bound(index, before)
         aside = self._goal_offset[index]
-        near = low + min(aside, 0) - self._leap <= position <= high + max(aside, 0) + self._leap
-        return not near or abs(position - before) > self._max_speed / self._units.tick_rad * elapsed + self._leap
+        near = low + min(aside, 0) - limits.leap <= position <= high + max(aside, 0) + limits.leap
+        return not near or abs(position - before) > limits.max_speed / limits.units.tick_rad * elapsed + limits.leap
 
-    def _agree(self, one: State, other: State) -> bool:
-        """Return whether two readings of a servo, shortly after each other, agree."""
-        units = self._units
-        elapsed = abs(other.stamp_ns - one.stamp_ns) / _NS_PER_S
-        motion = min(self._max_speed / units.tick_rad * elapsed, self._max_motion)
-        near = abs(other.position - one.position) <= self._same_position + motion
-        speeds = abs(one.speed - other.speed) <= self._speed_leap
-        loads = abs(one.load - other.load) <= self._load_leap
-        volts = abs(other.voltage - one.voltage) * units.volt <= _VOLTAGE_LEAP_V
-        warmth = abs(other.temperature - one.temperature) <= _TEMPERATURE_LEAP_K
-        return near and speeds and loads and volts and warmth and one.error == other.error
+
+def _agree(limits: _Limits, one: State, other: State) -> bool:
+    """Return whether two readings of a servo, shortly after each other, agree."""
+    units = limits.units
+    elapsed = abs(other.stamp_ns - one.stamp_ns) / _NS_PER_S
+    motion = min(limits.max_speed / units.tick_rad * elapsed, limits.max_motion)
+    near = abs(other.position - one.position) <= limits.same_position + motion
+    speeds = abs(one.speed - other.speed) <= limits.speed_leap
+    loads = abs(one.load - other.load) <= limits.load_leap
+    volts = abs(other.voltage - one.voltage) * units.volt <= _VOLTAGE_LEAP_V
+    warmth = abs(other.temperature - one.temperature) <= _TEMPERATURE_LEAP_K
+    return near and speeds and loads and volts and warmth and one.error == other.error

@@ -244,30 +244,45 @@ class SerialLine:
         Raises:
             BusDisconnectedError: The port is gone.
         """
-        if self._parser.pending:  # from earlier data
-            self._parser.flush()
-        if self._answer_code is not None:
-            self._code = self._answer_code(request)
         now_ns = self._clock() if now_ns is None else now_ns
-        self.send(request, now_ns)
-        answer = self._await(servo_id, size, end_ns, now_ns)
-        if answer is None:
-            self._stale, self._settled_ns = True, self._clock() + _SETTLES_NS
-        return answer
+        self.ask(request, now_ns)
+        return self._answer(servo_id, size, end_ns, now_ns)
 
-    def exchange_together(self, request: bytes, servo_ids: Sequence[int], size: int, now_ns: int) -> dict[int, Packet]:
-        """Send a request to several servos, which answer one after the other, and return their answers by id.
-
-        A missing answer is counted. `now_ns` [ns] is the present time; the answers have `size` parameters.
+    def ask(self, request: bytes, now_ns: int) -> None:
+        """Send a request at the present time [ns], and discard what remains of earlier answers; see `answer`.
 
         Raises:
             BusDisconnectedError: The port is gone.
         """
-        if self._parser.pending:
+        if self._parser.pending:  # from earlier data
             self._parser.flush()
+        if self._answer_code is not None:
+            self._code = self._answer_code(request)
         self.send(request, now_ns)
+
+    def answer(self, servo_id: int, size: int, end_ns: int, asked_ns: int) -> Packet | None:
+        """Return the servo's answer or refusal to a request that was sent at `asked_ns` [ns]; count a missing one."""
+        answer = self._answer(servo_id, size, end_ns, asked_ns)
+        if answer is None:
+            self.lost[Lost.TIMEOUT] += 1
+        return answer
+
+    def _answer(self, servo_id: int, size: int, end_ns: int, asked_ns: int) -> Packet | None:
+        answer = self._await(servo_id, size, end_ns, asked_ns)
+        if answer is None:
+            self._stale, self._settled_ns = True, self._clock() + _SETTLES_NS
+        return answer
+
+    def answers(self, servo_ids: Sequence[int], size: int, asked_ns: int) -> dict[int, Packet]:
+        """Return the answers to a request to several servos, which answer one after the other, by id.
+
+        A missing answer is counted. The request was sent at `asked_ns` [ns]; the answers have `size` parameters.
+
+        Raises:
+            BusDisconnectedError: The port is gone.
+        """
         whole, found = self._protocol.OVERHEAD + size, dict[int, Packet]()
-        deadline = now_ns + len(servo_ids) * whole * BYTE_NS + _UNDERWAY_NS
+        deadline = asked_ns + len(servo_ids) * whole * BYTE_NS + _UNDERWAY_NS
         while len(found) < len(servo_ids):
             data = self._receive(max((len(servo_ids) - len(found)) * whole - self._parser.pending, 1))
             if data is None:
@@ -280,21 +295,18 @@ class SerialLine:
         self._note_missing(len(servo_ids) - len(found))
         return found
 
-    def exchange_fast(self, request: bytes, servo_ids: Sequence[int], size: int, now_ns: int) -> dict[int, Packet]:
-        """Send a fast sync read to several servos, and return their parts of the common answer, by id.
+    def fast_answers(self, servo_ids: Sequence[int], size: int, asked_ns: int) -> dict[int, Packet]:
+        """Return the parts of the common answer to a fast sync read, by id.
 
-        A missing part is counted. `now_ns` [ns] is the present time; the parts have `size` bytes of data.
+        A missing part is counted. The request was sent at `asked_ns` [ns]; the parts have `size` bytes of data.
 
         Raises:
             BusDisconnectedError: The port is gone.
         """
-        if self._parser.pending:
-            self._parser.flush()
-        self.send(request, now_ns)
         sizes = [size] * len(servo_ids)
         length = dynamixel2.combined_length(sizes)
         parser, whole, packets = dynamixel2.PacketParser(length, keep_broken=True), dynamixel2.HEAD + length, list[Packet]()
-        deadline = now_ns + whole * BYTE_NS + _UNDERWAY_NS
+        deadline = asked_ns + whole * BYTE_NS + _UNDERWAY_NS
         while not packets and (data := self._receive(max(whole - parser.pending, 1))) is not None:
             packets = parser.feed(data)
             if self._clock() >= deadline:

@@ -32,7 +32,6 @@ class Servos(Protocol):
     Arrays are in the order of the list.
     """
 
-    model: ServoModel  # type of the servos
     servo_ids: tuple[int, ...]
     errors: NDArray[np.uint8]  # (n,) error bits of the last status packets
     between: Callable[[], None]  # called before each request outside the loop
@@ -55,6 +54,10 @@ class Servos(Protocol):
     @property
     def loss(self) -> float:
         """Recent share of requests without a usable answer."""
+        ...
+
+    def model_of(self, servo_id: int) -> ServoModel:
+        """Return the expected model of a servo."""
         ...
 
     def open_session(self) -> None:
@@ -138,12 +141,16 @@ class PortFinder:
 
 def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
     """Return the robot's servos on an open port."""
-    model, names, lock = profile.servo_model, profile.servo_names, profile.servo.lock_eeprom
+    model, names, lock = profile.servo_model, profile.servo_names, all(one.lock_eeprom for one in profile.servos.each)
     if profile.servo.pulses is not None:
         if settings.bridge:
             raise BusSetupError(f"the hobby servos of {profile.name} have no bridge; turn the setting `bridge` off")
         return PwmServos(port, list(names), clock, profile.servo.pulses)
     if settings.bridge:
+        if profile.servo_groups or profile.buses:
+            raise BusSetupError(
+                f"one servo model and one bus behind a bridge expected, found several in the profile {profile.name}"
+            )
         if model.commands is not None:
             raise BusSetupError(
                 f"a bridge to servos with registers expected, found {model.name} in the profile {profile.name}; "
@@ -153,4 +160,6 @@ def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callab
     if model.commands is not None:
         stiffness = profile.servo.stiffness / profile.servo.stall_torque
         return CommandBus(port, list(names), clock, model=model, names=names, echo=settings.echo, stiffness=stiffness)
-    return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo, lock=lock)
+    return ServoBus(
+        port, list(names), clock, model=model, models=profile.servo_models, names=names, echo=settings.echo, lock=lock
+    )

@@ -23,16 +23,17 @@ def end(bus: Servos, servo_id: int, goal_ticks: int, torque_limit: int, may_pull
     def write(register: Register, value: int) -> bool:
         return bus.write(servo_id, register, value) or bus.write(servo_id, register, value)
 
-    if bus.model.recovery is Recovery.ITSELF:
+    model = bus.model_of(servo_id)
+    if model.recovery is Recovery.ITSELF:
         return True
-    table = bus.model.table
-    if bus.model.recovery is Recovery.REBOOT:
+    table = model.table
+    if model.recovery is Recovery.REBOOT:
         bus.reboot(servo_id)
         return False
-    if bus.model.recovery is Recovery.TORQUE_ENABLE and not write(table.torque_enable, 0):
+    if model.recovery is Recovery.TORQUE_ENABLE and not write(table.torque_enable, 0):
         return False
     if not write(table.goal_position, goal_ticks):
         return False
     if not write(table.torque_limit, torque_limit):
         return False
-    return bus.model.recovery is Recovery.TORQUE_LIMIT or (may_pull() and write(table.torque_enable, 1))
+    return model.recovery is Recovery.TORQUE_LIMIT or (may_pull() and write(table.torque_enable, 1))

@@ -52,8 +52,8 @@ def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any
             "camera": _rounded(profile.camera.T_body_camera.ravel()),
             "servo_ids": profile.servo_ids.tolist(),
             "joints": JOINTS,
-            "stall_torque": profile.servo.stall_torque,
-            "warm_temperature": profile.servo.warm_temperature,
+            "stall_torques": profile.servos.stall_torque.ravel().tolist(),
+            "warm_temperature": min(one.warm_temperature for one in profile.servos.each),
             "warn_voltage": profile.battery.warn_voltage,
         },
         "walk": {

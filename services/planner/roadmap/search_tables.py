@@ -55,14 +55,15 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
     links, stance, body = profile.links, profile.stance, profile.body
     size = links.femur + links.tibia
     centre = resting_centre_of_mass(profile)
+    weakest = float(profile.servos.stall_torque.min())
     return Rules(
         foot_radius=profile.foot.radius,
         half_length=body.size[0] / 2,
         half_width=body.size[1] / 2,
         half_height=body.size[2] / 2,
         weight=body.total_mass * GRAVITY,
-        torque=settings.torque_share * profile.servo.stall_torque,
-        easy_torque=_EASY * profile.servo.stall_torque,
+        torque=settings.torque_share * weakest,
+        easy_torque=_EASY * weakest,
         height=settings.body_height or stance.body_height,
         climb=0.5 * stance.max_climb,
         centre_x=float(centre[0]),

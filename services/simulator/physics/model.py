@@ -186,9 +186,10 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
             low, high = profile.joint_limits[leg, joint] + np.array([-_LIMIT_MARGIN, _LIMIT_MARGIN])
             hinge = link.add_joint(name=label, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
             hinge.limited, hinge.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
-            hinge.damping = [profile.servo.damping, 0.0, 0.0]  # linear damping only
-            hinge.armature = profile.servo.armature * factors.armature[leg, joint]
-            hinge.frictionloss = profile.servo.friction * factors.joint_friction[leg, joint]
+            data_sheet = profile.servos.each[3 * leg + joint]
+            hinge.damping = [data_sheet.damping, 0.0, 0.0]  # linear damping only
+            hinge.armature = data_sheet.armature * factors.armature[leg, joint]
+            hinge.frictionloss = data_sheet.friction * factors.joint_friction[leg, joint]
             tip = end - profile.foot.radius if part == "tibia" else end  # only the foot sphere reaches the ground
             link.add_geom(
                 name=label,
@@ -200,9 +201,9 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
                 **solid,
             )
             servo = spec.add_actuator(name=label, target=label, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            servo.set_to_position(kp=profile.servo.stiffness)
+            servo.set_to_position(kp=data_sheet.stiffness)
             servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-            servo.forcerange = [-profile.servo.stall_torque, profile.servo.stall_torque]
+            servo.forcerange = [-data_sheet.stall_torque, data_sheet.stall_torque]
             parent, position, quat = link, np.array([end, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
         sphere = mujoco.mjtGeom.mjGEOM_SPHERE
         foot = {"pos": [links[2], 0.0, 0.0], "type": sphere}

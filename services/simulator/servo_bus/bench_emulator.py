@@ -14,7 +14,9 @@ import numpy as np
 
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
-from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
+from sextant.services.simulator.servo_bus.motors import Supply
+from sextant.services.simulator.servo_bus.servo_bank import ServoVariation
+from sextant.services.simulator.servo_bus.servo_banks import make_robot_servos
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
 from sextant.shared.servo.servo_model import Access
@@ -53,21 +55,20 @@ class BenchEmulator(ServoBusEmulator):
         self.robot = replace(profile, calibration=tuple(entries))  # with the true mounting errors
         ids = list(profile.servo_names)
         q = rng.uniform(-1.0, 1.0, len(ids)) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
-        self._servos = make_servo_bank(profile.servo, ids, q)
-        model, table = self._servos.model, self._servos.table
-        if fresh:
-            self._servos.column(table.id)[:] = table.id.default
-        else:
-            for register, value in model.joint_settings.items():
-                self._servos.column(register)[:] = value
-            self._servos.column(table.baud_rate)[:] = model.rate_code(model.bus_rate)
+        exact = ServoVariation(np.ones(len(ids)), np.ones(len(ids)), np.zeros(len(ids)))
+        self._servos = make_robot_servos(profile, q, Supply().capacity_ah, 1.0, exact).all
+        table = self._servos.table
+        for row, model in enumerate(profile.servos.models):
+            set_up = {**model.joint_settings, table.baud_rate: model.rate_code(model.bus_rate)}
+            for register, value in ({table.id: table.id.default} if fresh else set_up).items():
+                self._servos.write(row, register.address, register.encode(value))
         self._plugged = set() if fresh else set(range(len(ids)))
         self._rate = rate
         self._now_ns = -1  # [ns] bus time up to which the joints have moved
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiles the code before the first packet ...
         self._servos.read(0, table.state.address, table.state.size)  # ... whose response must be in time
-        super().__init__(self._servos, BusTiming(model.bus_rate), echo=echo)
+        super().__init__(self._servos, BusTiming(self._servos.model.bus_rate), echo=echo)
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
         """Advance the joints to a time [ns], then process the bytes of the host."""
@@ -87,7 +88,7 @@ class BenchEmulator(ServoBusEmulator):
     def plug(self, rows: Iterable[int]) -> None:
         """Plug servos in, which resets their RAM registers to factory values."""
         for row in rows:
-            factory = self._servos.model.factory_table()
+            factory = self._servos.model_of(row).factory_table()
             for register in self._registers.registers:
                 if not register.eeprom and register.access is Access.READ_WRITE:
                     self._servos.write(row, register.address, factory[register.address : register.address + register.size])
@@ -153,5 +154,5 @@ class BenchEmulator(ServoBusEmulator):
             command = self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)
             spring_torque = command.stiffness * (command.setpoint - self._q)
             self._torque = np.clip(spring_torque, -command.torque_limit, command.torque_limit)
-            self._qd = self._torque / self.robot.servo.damping
+            self._qd = self._torque / self.robot.servos.damping.ravel()
             self._q = self._q + self._qd * (_STEP_NS * 1e-9)

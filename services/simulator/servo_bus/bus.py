@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, Reply
-from sextant.services.simulator.servo_bus.servo_bank import ServoBank
+from sextant.services.simulator.servo_bus.servo_banks import AnyBank
 from sextant.shared.servo import dynamixel2
 from sextant.shared.servo.servo_model import (
     Access,
@@ -75,7 +75,7 @@ class ServoBusEmulator(AnswersOnly):
     It has neither thread nor clock; times are arguments.
     """
 
-    def __init__(self, bank: ServoBank, timing: BusTiming | None = None, *, echo: bool = False) -> None:
+    def __init__(self, bank: AnyBank, timing: BusTiming | None = None, *, echo: bool = False) -> None:
         """Connect a bank of servos.
 
         Args:
@@ -277,7 +277,7 @@ class ServoBusEmulator(AnswersOnly):
 
     def _knows_fast_read(self, row: int) -> bool:
         """Return whether the firmware of a servo has the fast sync read."""
-        since = self._model.fast_firmware
+        since = self._bank.model_of(row).fast_firmware
         return since is not None and self._value(row, self._registers.firmware) >= since
 
     def _reboot(self, rows: list[int], time_ns: int) -> None:
@@ -344,7 +344,7 @@ class ServoBusEmulator(AnswersOnly):
 
     def _factory(self, row: int) -> bytes:
         """Return the factory table of a servo, with its current measured values."""
-        table = bytearray(self._model.factory_table())
+        table = bytearray(self._bank.model_of(row).factory_table())
         for register in (*self._registers.measured, self._registers.moving):
             start, end = register.address, register.address + register.size
             table[start:end] = self._bank.read(row, start, register.size)

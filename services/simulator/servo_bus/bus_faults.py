@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, EmulatedBus, Reply
-from sextant.services.simulator.servo_bus.servo_bank import ServoBank
+from sextant.services.simulator.servo_bus.servo_banks import AnyBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.servo import pwm
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK, BusFault
@@ -105,7 +105,7 @@ def row_of(fault: BusFault, ids: Sequence[int], table: ControlTable) -> int:
 class BusFaults(AnswersOnly):
     """Bus with faults, which has the interface of `ServoBusEmulator`."""
 
-    def __init__(self, bus: EmulatedBus, bank: ServoBank, seed: int = 0, faults: Iterable[BusFault] = ()) -> None:
+    def __init__(self, bus: EmulatedBus, bank: AnyBank, seed: int = 0, faults: Iterable[BusFault] = ()) -> None:
         """Wrap a bus.
 
         Args:

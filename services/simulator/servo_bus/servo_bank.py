@@ -111,7 +111,9 @@ class ServoBank:
         self._protection_limits = (*stalls, most, p.ambient, p.cooling_time, p.heating)  # they tolerate rounding
         self.supply = supply or Supply()
         self.charge = charge  # of the battery, 0 to 1
-        self.current = 0.0  # [A] drawn in the last step
+        self.current = 0.0  # [A] drawn from the supply in the last step
+        self.servo_current = 0.0  # [A] of it, drawn by these servos
+        self.other_current = 0.0  # [A] drawn by servos of other banks on the same supply
 
         self._bytes = bytearray(model.factory_table() * n)
         table, units = model.table, model.units
@@ -176,6 +178,10 @@ class ServoBank:
         return len(self._q)
 
     # --------------------------------------------------------------------------------------- methods for the bus
+
+    def model_of(self, row: int) -> ServoModel:
+        """Return the model of a servo, which is that of all."""
+        return self.model
 
     def read(self, row: int, address: int, size: int, at_ns: int | None = None) -> bytes:
         """Return bytes of one servo's control table.
@@ -386,7 +392,8 @@ class ServoBank:
     def _discharge(self, duty_sum: float, dt: float) -> None:
         """Update current, charge and voltage of the supply by one step."""
         s, m = self.supply, self.motor
-        self.current = s.computer_current + len(self) * m.standby_current + m.stall_current * duty_sum
+        self.current = s.computer_current + len(self) * m.standby_current + m.stall_current * duty_sum + self.other_current
+        self.servo_current = self.current - s.computer_current - self.other_current
         self.charge = max(self.charge - self.current * dt / (3600.0 * s.capacity_ah), 0.0)
         self.voltage = self._open_circuit() - s.resistance * self.current - self._active_faults.sag
 
@@ -498,16 +505,19 @@ def make_servo_bank(
     battery_ah: float = Supply().capacity_ah,
     battery_resistance: float = 1.0,
     variation: ServoVariation | None = None,
+    powered_like: Servo | None = None,
 ) -> ServoBank:
     """Create the servos of a profile: registers and supply of their model, torque and stiffness of the profile.
 
     The profile states the torque at the robot's own voltage, and the actuator converts loads with it. The current of a motor is
     proportional to its torque. The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a supply with
-    constant voltage, and `battery_resistance` is a factor.
+    constant voltage, and `battery_resistance` is a factor. The supply is that of the servo `powered_like`, by default of this.
     """
     motor, supply = motor_and_supply(servo)
     current = motor.stall_current * servo.stall_torque / motor.stall_torque
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
+    if powered_like is not None:
+        supply = motor_and_supply(powered_like)[1]
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
     model, n = servo.servo_model, len(servo_ids)
     dead_band_rad = servo.pulses.dead_band_us / servo.pulses.us_per_rad if servo.pulses else 0.0

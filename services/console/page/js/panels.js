@@ -135,7 +135,7 @@ export class Panels {
   }
 
   servos(legs) {
-    const { stall_torque: stall, warm_temperature: hot, warn_voltage: low } = this.robot;
+    const { stall_torques: stall, warm_temperature: hot, warn_voltage: low } = this.robot;
     const volts = legs.voltage === null ? "voltage unknown" : `${legs.voltage.toFixed(1)} V`;
     const warm = legs.temperature === null ? "temperature unknown" : `hottest ${legs.temperature.toFixed(0)} °C`;
     const tired = legs.speed_scale < 1 ? `, walking at ${(100 * legs.speed_scale).toFixed(0)} %` : "";
@@ -144,7 +144,7 @@ export class Panels {
     this.cells.forEach(({ foot, bars }, i) => {
       mark(foot, `foot ${legs.contact[i] ? "carries" : ""} ${legs.swing[i] ? "swings" : ""}`);
       bars.forEach(({ fill, text }, j) => {
-        const share = Math.abs(legs.load[3 * i + j]) / stall;
+        const share = Math.abs(legs.load[3 * i + j]) / stall[3 * i + j];
         const width = `${Math.min(100, 100 * share).toFixed(0)}%`;
         if (fill.style.width !== width) fill.style.width = width;
         mark(fill, share > 0.8 ? "bad" : share > 0.45 ? "warn" : "");

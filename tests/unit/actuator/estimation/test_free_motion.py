@@ -39,7 +39,7 @@ def swing(ground: float = -np.inf, armature: float = 1.0, friction: float = 1.0,
     turns rises first, and turns from one goal to the next, as where a new plan ends a swing elsewhere.
     """
     detector = TouchdownDetector(PROFILE)
-    inertia = detector._inertia + (armature - 1.0) * SERVO.armature
+    inertia = detector._inertia[0] + (armature - 1.0) * SERVO.armature
     start = float(Q[LEG, FEMUR])
     angle, speed, met, touches, goal = start, 0.0, -1, [], start
     for k in range(45):

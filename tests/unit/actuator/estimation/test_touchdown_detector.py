@@ -68,7 +68,7 @@ def swing(
     goals = np.round(goals / tick) * tick
     feeler = TouchdownDetector(profile)
     feeler.period_ns, feeler.bridged = period_ns, bridged is not None
-    inertia = feeler._inertia + (armature - 1.0) * servo.armature
+    inertia = feeler._inertia[0] + (armature - 1.0) * servo.armature
     q, angle, speed, load, met = Q.copy(), float(goals[0]), 0.0, 0.0, -1
     touches, pushes = list[bool](), list[float]()
     steps = STEPS * period_ns // PERIOD

@@ -13,7 +13,7 @@ from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, ServoB
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, NotAServoBusError, ServoScan, scan_servo
 from sextant.services.simulator.servo_bus.bus import Reply
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.models import AX_12A, XM430_W350
+from sextant.shared.servo.models import XM430_W350
 from tests.support.desk import Desk
 
 NAMES = Desk().profile.servo_names
@@ -52,7 +52,7 @@ CHAINS = {
 def test_one_fault_of_a_chain_is_one_problem_with_its_place(silent: tuple[int, ...]) -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(i) for i in silent])
-    wrong = bus_scan.problems(NAMES, bus_scan.call(desk.bus(), NAMES), AX_12A)
+    wrong = bus_scan.problems(NAMES, bus_scan.call(desk.bus(), NAMES))
     words, place = CHAINS[silent]
     assert set(wrong) == set(silent)
     (problem,) = set(wrong.values())
@@ -65,7 +65,7 @@ def test_one_fault_of_a_chain_is_one_problem_with_its_place(silent: tuple[int, .
 def test_two_faults_of_a_leg_are_two_problems() -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(i) for i in (7, 11)])
-    wrong = bus_scan.problems(NAMES, bus_scan.call(desk.bus(), NAMES), AX_12A)
+    wrong = bus_scan.problems(NAMES, bus_scan.call(desk.bus(), NAMES))
     assert "the servo behind it does" in wrong[7].words
     assert "between the left rear femur and the left rear tibia" in wrong[11].advice
 

@@ -213,7 +213,7 @@ def test_scan_shows_nothing_that_the_servo_does_not_tell() -> None:
     assert (seen.model, seen.firmware) == ("not told", None)
     assert seen.voltage == pytest.approx(legs.servos.voltage, abs=0.01)
     names = {1: "left front coxa", 2: "left front femur", 3: "left front tibia"}
-    assert not problems(names, call(legs.bus, names), LX_16A)
+    assert not problems(names, call(legs.bus, names))
 
 
 def test_servo_in_motor_mode_is_refused() -> None:
@@ -221,7 +221,7 @@ def test_servo_in_motor_mode_is_refused() -> None:
     mode = next(register for register in TABLE.registers if register.name == "mode")
     legs.servos.column(mode)[1] = 1
     names = {1: "left front coxa", 2: "left front femur"}
-    assert "mode of 1" in problems(names, call(legs.bus, names), LX_16A)[2].words
+    assert "mode of 1" in problems(names, call(legs.bus, names))[2].words
 
 
 def test_late_answer_to_another_command_is_not_taken() -> None:

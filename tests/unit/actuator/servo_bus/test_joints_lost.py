@@ -267,9 +267,10 @@ def test_restore_torque_sets_goal_to_position_before_torque_limit() -> None:
 
 def test_servo_that_reboots_to_end_its_shutdown_has_lost_its_torque() -> None:
     rig = JointsRig().start()
-    bus = rig.joints._bus
-    bus.model = replace(bus.model, recovery=Recovery.REBOOT)
-    rig.joints.restore_torque(SERVO)
+    model = replace(rig.joints._bus.model_of(IDS[SERVO]), recovery=Recovery.REBOOT)
+    rig.joints._bus._models = {IDS[SERVO]: model}  # type: ignore[attr-defined]
+    rig.joints._reboots[SERVO] = True
+    rig.joints._restore_torque_limit(SERVO)
     assert np.flatnonzero(rig.joints.vitals.torque_disabled).tolist() == [SERVO]
 
 

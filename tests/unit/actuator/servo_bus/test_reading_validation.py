@@ -29,7 +29,7 @@ class Judge:
     model: ServoModel = AX_12A
 
     def __post_init__(self) -> None:
-        self.of = ReadingValidator(1, self.model)
+        self.of = ReadingValidator([self.model])
         self.now_ns = 0
         assert self.of.accepts(0, USUAL, False)
         self.goal(500)
@@ -146,7 +146,7 @@ def test_noisy_bus_requires_confirmation_of_load_and_speed_jumps() -> None:
 
 
 def test_first_reading_on_noisy_bus_requires_confirmation() -> None:
-    judge = ReadingValidator(1, AX_12A)
+    judge = ReadingValidator([AX_12A])
     assert not judge.accepts(0, USUAL, True)
     assert not judge.accepts(0, USUAL._replace(position=100), True)
     assert judge.accepts(0, USUAL._replace(position=101), True)
@@ -165,7 +165,7 @@ def test_repeated_reading_is_refused_only_for_a_moving_joint() -> None:
 
 
 def test_confirmed_voltage_jump_applies_to_all_servos() -> None:
-    judge = ReadingValidator(2, AX_12A)
+    judge = ReadingValidator([AX_12A] * 2)
     assert judge.accepts(0, USUAL, False)
     assert judge.accepts(1, USUAL, False)
     sagged = USUAL._replace(stamp_ns=80 * MS, voltage=100)
@@ -189,7 +189,7 @@ SAID = st.builds(
 @WILD
 @given(st.lists(st.tuples(SAID, st.integers(1, 200), st.booleans(), st.integers(0, 1023)), max_size=30))
 def test_accepted_random_readings_are_near_or_confirmed(said: list[tuple[State, int, bool, int]]) -> None:
-    judge, now_ns = ReadingValidator(1, AX_12A), 0
+    judge, now_ns = ReadingValidator([AX_12A]), 0
     believed: State | None = None
     unborne: State | None = None  # last reading that is possible but was not accepted
     goals: list[int] = []
