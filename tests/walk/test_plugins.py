@@ -54,6 +54,15 @@ def test_example_plugins_walk_to_the_goal(installed, tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_published_baseline_walks_to_the_goal_by_its_own_map(tmp_path):
+    course = str(write_course(tmp_path, "short", 0.4))
+    chosen = ["--planner", "sextant.evaluation.baselines.lotriet:Steps", "--foothold", "lotriet"]
+    assert cli.main(["run", course, "--lockstep", "--seed", "1000", "--out", str(tmp_path / "run"), *chosen]) == 0
+    report = json.loads((tmp_path / "run/report.json").read_text())
+    assert report["plugins"] == dict(zip(("planner", "foothold"), chosen[1::2], strict=True))
+
+
+@pytest.mark.slow
 def test_failing_plugin_ends_the_run_with_its_name(tmp_path, capsys):
     out = tmp_path / "run"
     name = "tests.support.plugins:failing"
