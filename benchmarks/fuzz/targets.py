@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.fuzz import message_corpus, recording_mutators
 from benchmarks.fuzz.file_targets import file_targets
 from benchmarks.fuzz.mutators import broken, odd, odd_table
+from benchmarks.fuzz.pulse_targets import pulse_targets
 from benchmarks.fuzz.servo_targets import servo_targets
 from benchmarks.fuzz.target import Target
 from sextant.deploy.ros2 import message_types as ros
@@ -46,6 +47,7 @@ def targets(rng: Random) -> tuple[Target, ...]:
         *(_of_topic(topic, rng) for topic in topics.TOPICS),
         Target("servo bus", tuple(_packets()), _broken_behind(0), _take_packets),
         *servo_targets(),
+        *pulse_targets(),
         Target("bridge, host", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.TO_HOST)),
         Target("bridge, board", tuple(_wire_messages()), _odd_frame, lambda data: _take_wire(data, bridge_protocol.FROM_HOST)),
         *(_of_twist(kind) for kind in (TWIST, TWIST_STAMPED)),
