@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sextant.services.actuator.locomotion.swing_trajectory import Swing
 from sextant.services.planner.roadmap.roadmap import PassageStep, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
-from sextant.shared.geometry import Array, apply
+from sextant.shared.geometry import Array, apply, rotation_z
 from sextant.shared.robot.kinematics import body_inverse, joint_torques, leg_nearest_reachable, leg_points
 from sextant.shared.robot.profile import GRAVITY, JOINTS, LEGS, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
@@ -54,13 +54,13 @@ def violations(
     """
     check = _Check(profile, field, demands or Demands())
     out: list[str] = []
-    body, feet, planned = start.body.copy(), start.feet.copy(), np.zeros(6, dtype=bool)
+    body, yaw, feet, planned = start.body.copy(), start.yaw, start.feet.copy(), np.zeros(6, dtype=bool)
     for number, step in enumerate(steps):
         if not (np.isfinite(step.body).all() and np.isfinite(step.touchdown).all() and -1 <= step.leg < len(LEGS)):
             return [*out, f"step {number + 1}: none that could be taken"]
-        found = [*check.step(body, feet, planned, step)]
+        found = [*check.step(body, yaw, feet, planned, step)]
         out += [f"step {number + 1}: {words}" for words in dict.fromkeys(found)]
-        body = step.body
+        body, yaw = step.body, step.yaw
         if step.leg >= 0:
             feet[step.leg], planned[step.leg] = step.touchdown, True
     return out
@@ -72,10 +72,11 @@ class _Check:
     def __init__(self, profile: RobotProfile, field: StripMap, demands: Demands):
         self._profile, self._field, self._demands = profile, field, demands
 
-    def step(self, body: Array, feet: Array, planned: NDArray[np.bool_], step: PassageStep) -> Iterator[str]:
+    def step(self, body: Array, yaw: float, feet: Array, planned: NDArray[np.bool_], step: PassageStep) -> Iterator[str]:
         """Yield the violations of a step.
 
-        It begins with the body at (3,) and feet at (6, 3) [m] {strip}; `planned` marks feet placed by the plan.
+        It begins with the body at (3,) [m] and yaw [rad] {strip}, and feet at (6, 3) [m] {strip}; `planned` marks feet that
+        the plan has placed.
         """
         swing = np.arange(6) == step.leg
         if np.linalg.norm((step.body - body)[:2]) > self._demands.body_step:
@@ -89,7 +90,8 @@ class _Check:
             placed = np.repeat(feet[None], _TIMES, axis=0)
             if swing.any():
                 placed[:, step.leg] = _flown(feet[step.leg], step)
-            yield from self._motion(bodies, placed, swing, planned)
+            headings = rotation_z(yaw + share * (step.yaw - yaw))
+            yield from self._motion(bodies, headings, placed, swing, planned)
 
     def _touchdown(self, feet: Array, step: PassageStep) -> Iterator[str]:
         """Check a touchdown: on known good ground, at its height, away from other feet."""
@@ -111,10 +113,12 @@ class _Check:
         if not 0.0 <= step.clearance <= self._profile.stance.max_lift + _ROUNDING:
             yield f"a clearance of {step.clearance:.3f} m"
 
-    def _motion(self, bodies: Array, feet: Array, swing: NDArray[np.bool_], planned: NDArray[np.bool_]) -> Iterator[str]:
-        """Check bodies (n, 3) and feet (n, 6, 3) [m] {strip} during a step."""
+    def _motion(
+        self, bodies: Array, headings: Array, feet: Array, swing: NDArray[np.bool_], planned: NDArray[np.bool_]
+    ) -> Iterator[str]:
+        """Check bodies (n, 3), their rotations (n, 3, 3) and feet (n, 6, 3) [m] {strip} during a step."""
         profile, demands = self._profile, self._demands
-        local = feet - bodies[:, None]
+        local = (feet - bodies[:, None]) @ headings
         for leg in np.flatnonzero(swing):  # as the actuator executes swings
             T, back = profile.T_coxa_body[leg], profile.T_body_coxa[leg]
             wanted = local[:, leg].copy()
@@ -126,14 +130,15 @@ class _Check:
         yield from self._places(local, swing, planned)
         standing = feet[0][~swing]
         centre = resting_centre_of_mass(profile)
-        margin = min(support_margin(standing[:, :2], (body + centre)[:2]) for body in bodies)
+        centres = bodies + headings @ centre
+        margin = min(support_margin(standing[:, :2], centre[:2]) for centre in centres)
         if margin < demands.margin - _ROUNDING:
             yield f"the centre of mass {margin * 1e3:.0f} mm inside its standing feet"
         yield from self._torques(q, local, swing)
-        yield from self._trunk(bodies)
+        yield from self._trunk(bodies, headings)
         if np.isnan(q).any():
             return  # reported already
-        points = leg_points(profile, q) + bodies[:, None, None]
+        points = leg_points(profile, q) @ np.swapaxes(headings, 1, 2)[:, None] + bodies[:, None, None]
         yield from self._distances(points)
         yield from self._over_ground(points, np.flatnonzero(swing))
 
@@ -198,15 +203,16 @@ class _Check:
             if gap < self._demands.legs_apart:
                 yield f"{LEGS[leg]} and {LEGS[other]} legs {gap:.3f} m apart"
 
-    def _trunk(self, bodies: Array) -> Iterator[str]:
+    def _trunk(self, bodies: Array, headings: Array) -> Iterator[str]:
         """Check the clearance of the trunk above the map."""
         length, width, height = self._profile.body.size
         along, across = (
             np.linspace(-size / 2, size / 2, 1 + round(2 * size / self._field.resolution)) for size in (length, width)
         )
         x, y = np.meshgrid(along, across, indexing="ij")
-        for body in bodies[[0, len(bodies) // 2, -1]]:
-            under = self._ground(body[0] + x, body[1] + y)
+        for k in (0, len(bodies) // 2, -1):
+            body, (ahead, left, _) = bodies[k], headings[k].T
+            under = self._ground(body[0] + ahead[0] * x + left[0] * y, body[1] + ahead[1] * x + left[1] * y)
             if body[2] - height / 2 - under.max() < self._demands.body_clear - _ROUNDING:
                 yield f"the trunk {body[2] - height / 2 - under.max():.3f} m over the ground"
 

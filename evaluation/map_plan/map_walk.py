@@ -14,14 +14,16 @@ from sextant.evaluation.whole_maps.strip import strip_ahead
 from sextant.evaluation.whole_maps.terrain_map import MapPlanError, terrain_of
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.gap_detection import detect_gap
-from sextant.services.planner.gap_crossing.strip_survey import BEHIND
+from sextant.services.planner.gap_crossing.section_search import ATTEMPTS
+from sextant.services.planner.gap_crossing.strip_survey import BEHIND, TURNING_WIDTH
 from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.navigation.path_follower import PathFollower
 from sextant.services.planner.navigation.path_planner import NoPath
 from sextant.services.planner.roadmap.params import PassageSettings
-from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, Stance
+from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, SectionPlan, Stance
 from sextant.services.planner.roadmap.sections import goal_behind
+from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import LEGS, RobotProfile
@@ -270,29 +272,47 @@ class _Walker:
         heading, along = math.atan2(way[1], way[0]), float(np.linalg.norm(way))
         if why := self._turn(heading, math.radians(approach.aligned_deg)):
             return why
-        strip = strip_ahead(self._terrain.map, self._body[:2, 3], heading, self._height)
+        xy = self._body[:2, 3].copy()
+        strip = strip_ahead(self._terrain.map, xy, heading, self._height)
         goal_x = goal_behind(strip, BEHIND, BEHIND + along, gaps)
         if goal_x is None:
             return "there is no gap within reach on the straight line to the goal"
         roadmap = Roadmap(self._profile, PassageSettings(body_height=self._height))
+        straight_refusal = ""
         for section in range(_MOST_SECTIONS):
-            stance = Stance(apply(strip.T_strip_world, self._body[:3, 3]), apply(strip.T_strip_world, self._feet))
-            roadmap.begin(strip, stance, goal_x, seed=section)
-            found = None
-            while found is None:
-                found = roadmap.grow(10_000)
+            found = self._section(roadmap, strip, goal_x, section, bool(straight_refusal))
+            if isinstance(found, NoSection) and not straight_refusal:
+                straight_refusal = found.reason
+                strip = strip_ahead(self._terrain.map, xy, heading, self._height, TURNING_WIDTH)
+                found = self._section(roadmap, strip, goal_x, section, turning=True)
             if isinstance(found, NoSection):
-                return found.reason
+                return f"straight on: {straight_refusal}; with turns of the body: {found.reason}"
             for step in found.steps:
                 swing, feet = np.zeros(6, dtype=np.bool_), self._feet.copy()
                 if step.leg >= 0:
                     swing[step.leg], feet[step.leg] = True, apply(strip.T_world_strip, step.touchdown)
-                body = self._body.copy()
-                body[:3, 3] = apply(strip.T_world_strip, step.body)
+                body = strip.T_world_strip @ from_xyz_rpy(step.body, (0.0, 0.0, step.yaw))
                 self._move(swing, feet, body, crosses=True)
             if found.complete:
                 return ""
         return f"the gap is not crossed after {_MOST_SECTIONS} sections"
+
+    def _section(
+        self, roadmap: Roadmap, strip: StripMap, goal_x: float, section: int, turning: bool
+    ) -> SectionPlan | NoSection:
+        """Return the next section, or why there is none with any of the samples that the planner tries."""
+        T = strip.T_strip_world @ self._body
+        stance = Stance(T[:3, 3].copy(), apply(strip.T_strip_world, self._feet), yaw_of(T))
+        found: SectionPlan | NoSection | None = None
+        for attempt in range(ATTEMPTS):
+            roadmap.begin(strip, stance, goal_x, ATTEMPTS * section + attempt, turning)
+            found = None
+            while found is None:
+                found = roadmap.grow(10_000)
+            if isinstance(found, SectionPlan):
+                break
+        assert found is not None
+        return found
 
     def _turn(self, heading: float, within: float) -> str:
         """Turn on the spot to a heading [rad], within a tolerance [rad]; return why that fails, or ""."""

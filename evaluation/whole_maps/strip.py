@@ -12,7 +12,7 @@ from sextant.shared.wire.messages import TerrainMap
 RESOLUTION = 0.01  # [m]
 
 
-def strip_ahead(map_: TerrainMap, xy: Array, heading: float, body_height: float) -> StripMap:
+def strip_ahead(map_: TerrainMap, xy: Array, heading: float, body_height: float, width: float = STRIP[1]) -> StripMap:
     """Return the strip of a map in a direction; it begins `BEHIND` [m] behind a place.
 
     Args:
@@ -20,10 +20,11 @@ def strip_ahead(map_: TerrainMap, xy: Array, heading: float, body_height: float)
         xy: (2,) [m] {map} the place, such as that of the body.
         heading: [rad] direction of the strip.
         body_height: [m] of the robot, see `strip_of`.
+        width: [m] of the strip.
     """
     T = from_xyz_rpy((0.0, 0.0, 0.0), (0.0, 0.0, heading))
     T[:2, 3] = xy - BEHIND * T[:2, 0]
-    n = [round(length / RESOLUTION) for length in STRIP]
+    n = [round(length / RESOLUTION) for length in (STRIP[0], width)]
     x, y = RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
     centres = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros(n)], axis=-1).reshape(-1, 3)
     i, j = np.rint((apply(T, centres)[:, :2] - map_.origin) / map_.resolution).astype(np.int64).T

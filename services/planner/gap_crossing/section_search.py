@@ -25,7 +25,7 @@ class SectionPlanner(Protocol):
         """Return the tree, (n, 2, 3) [m] {strip}."""
         ...
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool) -> None:
         """Start a new search."""
         ...
 
@@ -47,6 +47,7 @@ class SectionSearch:
         self._roadmap, self._stopwatch = roadmap, stopwatch
         self.section = 0  # number of the section
         self.is_running = False
+        self.straight_refusal = ""  # why no section leads straight on; then the body turns in all further sections
         self._attempt = ATTEMPTS  # number of attempts for the section
         self._tried: list[Array] = []  # (2,) [m] {world} body places of previous plannings
         self._stopped = ""  # why the last planning found no path
@@ -76,8 +77,18 @@ class SectionSearch:
             self.section, self._attempt = self.section + 1, 0
         self._attempt += 1
         self._goal_x, self._planning_ns, self.is_running = goal_x, 0, True
-        self._roadmap.begin(field, root, goal_x, seed=ATTEMPTS * self.section + self._attempt)
+        self._roadmap.begin(field, root, goal_x, ATTEMPTS * self.section + self._attempt, self.turns)
         return ""
+
+    @property
+    def turns(self) -> bool:
+        """Return whether the body may turn."""
+        return bool(self.straight_refusal)
+
+    def allow_turns(self, straight_refusal: str) -> None:
+        """Allow turns of the body from now on, because no section leads straight on; count plannings again."""
+        self.straight_refusal = straight_refusal
+        self._tried.clear()
 
     def grow(self, now_ns: int, T_world_strip: Array) -> SectionPlan | NoSection | None:
         """Continue within the time budget; return the result, or None while it is undecided.

@@ -53,7 +53,7 @@ class SectionWalk:
         clearance = np.full(6, settings.step.path_margin_m)
         if step.leg >= 0:
             touchdown[step.leg], clearance[step.leg] = apply(T, np.asarray(step.touchdown)), step.clearance
-        body = T @ from_xyz_rpy(step.body, np.zeros(3))
+        body = T @ from_xyz_rpy(step.body, (0.0, 0.0, step.yaw))
         legs = np.flatnonzero(swing)
         swinging = time_to_swing(profile, settings.step, standing.feet[legs], touchdown[legs], clearance[legs])
         duration = max([profile.stance.step_s, *swinging.tolist()])

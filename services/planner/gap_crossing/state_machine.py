@@ -32,7 +32,10 @@ _PATIENCE_NS = 6_000_000_000  # [ns] maximum time to wait for a map
 _RISE = 0.01  # [m] from which a look counts as raised
 _BACK, _BACK_TURN, _RETURNS = 0.015, np.radians(3.0), 2  # [m], [rad] tolerance and attempts of the return from a look
 _NEARLY = 0.02  # [m] distance from its goal at which a section counts as complete
-_ASIDE, _TURNED = 0.30, np.radians(10.0)  # [m] and [rad] off the strip, from which the robot counts as being elsewhere
+_ASIDE, _TURNED = (
+    0.18,
+    np.radians(10.0),
+)  # [m] and [rad] beyond the planned ones, from which the robot counts as being elsewhere
 
 Stage = Literal["survey", "look", "return", "plan", "walk"]
 
@@ -198,8 +201,11 @@ class GapCrossing:
 
     def _begin_search(self, root: Stance, standing: WorldStance) -> Completed | CannotCross | None:
         """Start the search for a section; return the end of the crossing if there is none to search."""
-        turned = abs(float(rpy_from_rotation(self._survey.T_world_strip[:3, :3].T @ standing.body[:3, :3])[2]))
-        if abs(root.body[1]) > _ASIDE or turned > _TURNED:
+        params, turned = self._settings.gap_crossing, abs(root.yaw)
+        drift, turn = (
+            (params.turning_drift_m, np.radians(params.most_turn_deg)) if self._search.turns else (params.drift_m, 0.0)
+        )
+        if abs(root.body[1]) > drift + _ASIDE or turned > turn + _TURNED:
             off = f"{root.body[1]:.2f} m and {np.degrees(turned):.0f} deg"
             return CannotCross(f"the robot is {off} off the centre line of the strip")
         field = self._field = self._ground.excluded_from(self._required_field, root.feet)
@@ -213,20 +219,27 @@ class GapCrossing:
     def _without_section(self, found: NoSection, state: ActuatorState, standing: WorldStance) -> Outcome:
         """Return the next action after a search without a path.
 
-        In this order: other samples, a view that reveals little, other stances further back, a map with more scans.
+        In this order: other samples, a view that reveals little, turns of the body on a wider map, other stances further back,
+        a map with more scans.
         """
         section = self._search.section
         if self._search.has_attempts:
             return Wait(f"planning section {section} of the gap crossing again: {found.reason}")
         if found.unseen and self._views.accept_less():
             return self._survey_again(found.reason)
+        if not self._search.turns:
+            self._search.allow_turns(found.reason)
+            self._survey.widen()
+            return self._survey_again(f"no section leads straight on: {found.reason}")
         back = self._trail.back(self._ground.in_strip(self._required_field), YIELDED_RADIUS_M)
         if back:
             words = f"backtracking {len(back)} steps to find another path: {found.reason}"
             return self._set_out(f"backtracking in section {section}", back, state, words)
         if self._search.may_plan_at(standing.body[:2, 3]):
             return self._survey_again(found.reason)
-        return CannotCross(found.reason + ("; no better view is available" if found.unseen else ""))
+        most = f"{self._settings.gap_crossing.most_turn_deg:.0f} deg"
+        headings = f"straight on: {self._search.straight_refusal}; with turns up to {most}: {found.reason}"
+        return CannotCross(headings + ("; no better view is available" if found.unseen else ""))
 
     def _set_out(self, name: str, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> Outcome:
         """Start to walk steps; `words` is the reason for the status."""
@@ -237,7 +250,8 @@ class GapCrossing:
 
     def _in_strip(self, standing: WorldStance) -> Stance:
         T = inverse(self._survey.T_world_strip)
-        return Stance(apply(T, standing.body[:3, 3]), apply(T, standing.feet))
+        yaw = float(rpy_from_rotation(T[:3, :3] @ standing.body[:3, :3])[2])
+        return Stance(apply(T, standing.body[:3, 3]), apply(T, standing.feet), yaw)
 
     @property
     def _required_field(self) -> StripMap:

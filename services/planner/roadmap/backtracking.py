@@ -40,13 +40,13 @@ class StepHistory:
         """
         if self._root is None or not self._steps or self._times == _OFTEN:
             return ()
-        feet, body, way = self._root.feet.copy(), self._root.body, list[PassageStep]()
+        feet, body, yaw, way = self._root.feet.copy(), self._root.body, self._root.yaw, list[PassageStep]()
         for step in self._steps:
             place = feet[step.leg].copy() if step.leg >= 0 else body
-            way.append(PassageStep(step.leg, place, step.clearance, body, step.margin))
+            way.append(PassageStep(step.leg, place, step.clearance, body, step.margin, yaw))
             if step.leg >= 0:
                 feet[step.leg] = step.touchdown
-            body = step.body
+            body, yaw = step.body, step.yaw
         back = list[PassageStep]()
         for step in reversed(way):
             if step.leg >= 0 and any(np.hypot(*(step.touchdown - place)[:2]) < radius for place in gone):

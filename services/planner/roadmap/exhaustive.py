@@ -57,12 +57,13 @@ def passable(
     """Decide whether a path exists; offline, in up to a minute.
 
     Returns:
-        True if the roadmap finds a path within `attempts`, False if `has_way` finds that there is none. None if undecided: a
-        test that `has_way` leaves out may exclude all paths, or the roadmap may have missed one.
+        True if the roadmap finds a path within `attempts`, straight on or with turns of the body. False if it does not, and
+        `has_way` finds that there is none straight on. None if undecided: a test that `has_way` leaves out may exclude all
+        paths, or the roadmap may have missed one.
     """
     roadmap = Roadmap(profile, settings)
-    for seed in range(attempts):
-        roadmap.begin(field, stance, goal_x, seed)
+    for turning, seed in product((False, True), range(attempts)):
+        roadmap.begin(field, stance, goal_x, seed, turning)
         while (found := roadmap.grow(settings.budget)) is None:
             pass
         if isinstance(found, SectionPlan) and found.complete:

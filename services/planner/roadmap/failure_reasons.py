@@ -49,7 +49,9 @@ def describe_fault(found: NDArray[np.int64], repair: float) -> str:
     return f"the start stance is invalid, even with the body shifted by up to {repair * 100:.0f} cm: {'; '.join(legs + whole)}"
 
 
-def explain_failure(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: StripMap) -> FailureReason:
+def explain_failure(
+    fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: StripMap, yaw: float = 0.0
+) -> FailureReason:
     """Return why no step leads on from the furthest configuration.
 
     Args:
@@ -58,9 +60,12 @@ def explain_failure(fails: NDArray[np.int64], body: Array, feet: Array, strokes:
         feet: (6, 3) [m] {strip}.
         strokes: (6,) [m] forward reach of each foot while the body stands.
         field: The strip.
+        yaw: [rad] {strip} of the body.
     """
     x, y, _ = apply(field.T_world_strip, body)
     where = f"({x:.2f}, {y:.2f}) m"
+    if abs(yaw) > 1e-6:
+        where += f", turned by {abs(np.degrees(yaw)):.0f} deg to the {'left' if yaw > 0.0 else 'right'}"
     if not fails.any():
         return FailureReason(f"no step is possible at {where}", False, WHOLE_ROBOT)
     blind = bool(fails[roadmap_search.UNKNOWN].sum() > 0.2 * fails.sum())
@@ -68,19 +73,19 @@ def explain_failure(fails: NDArray[np.int64], body: Array, feet: Array, strokes:
     told[0] = 0
     test, leg = (int(k) for k in np.unravel_index(int(np.argmax(told)), told.shape))
     who = "" if leg == WHOLE_ROBOT else f"{LEGS[leg]} leg: "
-    gap = _gap(feet, strokes, field)
+    gap = _gap(feet, strokes, field, yaw)
     look = "; cells ahead are unknown" if blind else ""
     return FailureReason(
         f"no step from {where}: {who}{TEST_NAMES[test]} ({told[test, leg]} of {told.sum()} failed tests){gap}{look}", blind, leg
     )
 
 
-def _gap(feet: Array, strokes: Array, field: StripMap) -> str:
+def _gap(feet: Array, strokes: Array, field: StripMap, yaw: float) -> str:
     """Return the stretch without a foothold that is widest relative to a leg's stroke.
 
     It lies ahead of that leg. The text is "" if it is no obstacle.
     """
-    stretches = [_bare_before(foot, stroke, field) for foot, stroke in zip(feet, strokes, strict=True)]
+    stretches = [_bare_before(foot, stroke, field, yaw) for foot, stroke in zip(feet, strokes, strict=True)]
     widths = np.array([width for width, _ in stretches])
     leg = int(np.argmax(widths - strokes))
     width, ends = stretches[leg]
@@ -92,15 +97,19 @@ def _gap(feet: Array, strokes: Array, field: StripMap) -> str:
     return f"; ahead of the {LEGS[leg]} foot {stretch} of ground without a foothold, {more} {reach} cm"
 
 
-def _bare_before(foot: Array, stroke: float, field: StripMap) -> tuple[float, bool]:
-    """Return the widest bare stretch [m] ahead of a foot, and whether it ends.
+def _bare_before(foot: Array, stroke: float, field: StripMap, yaw: float) -> tuple[float, bool]:
+    """Return the widest bare stretch [m] ahead of a foot, in the direction `yaw` [rad] {strip}, and whether it ends.
 
     The foot is (3,) [m] {strip}. The stretch carries no foot and begins within a stroke.
     """
-    x0, y0 = field.first_cell
-    half = round(_LINE_HALF_WIDTH_M / field.resolution)
-    i, j = round((foot[0] - x0) / field.resolution) + 1, round((foot[1] - y0) / field.resolution)
-    carries = np.asarray((field.evaluation[max(0, i) :, max(0, j - half) : max(0, j + half + 1)] < 0).any(axis=1))
+    half, (nx, ny) = round(_LINE_HALF_WIDTH_M / field.resolution), field.evaluation.shape
+    ahead, aside = np.arange(1, nx + ny)[:, None], np.arange(-half, half + 1)
+    x, y = (foot[:2] - field.first_cell) / field.resolution
+    i = np.rint(x + ahead * np.cos(yaw) - aside * np.sin(yaw)).astype(np.int64)
+    j = np.rint(y + ahead * np.sin(yaw) + aside * np.cos(yaw)).astype(np.int64)
+    inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
+    carried = inside & (field.evaluation[np.where(inside, i, 0), np.where(inside, j, 0)] < 0)
+    carries = np.asarray(carried.any(axis=1)[inside.any(axis=1)])
     edges = np.flatnonzero(np.diff(np.concatenate([[0], ~carries, [0]])))
     begins, ends = edges[::2], edges[1::2]
     near = begins * field.resolution <= stroke

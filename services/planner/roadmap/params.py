@@ -32,6 +32,10 @@ class GapCrossingParams(Params):
     foot_back: float = ranged(0.50, 0.0, 2.0)  # * from the rear end of the stroke back to the tip of the cone of footholds
     foot_angle_deg: float = ranged(35.0, 1.0, 180.0)  # [deg] angle of the cone of footholds, beta
     drift_m: float = ranged(0.12, 0.0, 1.0)  # [m] maximum sideways motion of the body, Delta y
+    turn_deg: float = ranged(12.0, 0.0, 45.0)  # [deg] maximum turn of the body in a step, in a crossing that turns
+    most_turn_deg: float = ranged(45.0, 0.0, 90.0)  # [deg] maximum yaw of the body to the strip, in a crossing that turns
+    turning_drift_m: float = ranged(0.45, 0.0, 1.0)  # [m] the same as drift_m, in a crossing that turns
+    sway_m: float = ranged(0.02, 0.0, 0.1)  # [m] from the body's height to lower and higher places, in a crossing that turns
     lattice_m: float = ranged(0.01, 0.001, 0.1)  # [m] lattice of body places
     strong_cells: int = ranged(-2, -100, -1)  # [cells] evaluation function, up to which a sampled foothold is used unchanged
     wide_cells: int = ranged(-4, -100, -1)  # [cells] local minimum of the evaluation function, up to which ground is wide

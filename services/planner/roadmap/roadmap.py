@@ -15,7 +15,7 @@ from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of, tree_of
 from sextant.services.planner.roadmap.sections import bare
 from sextant.services.planner.roadmap.strip_map import StripMap
-from sextant.shared.geometry import Array
+from sextant.shared.geometry import Array, rotation_z
 from sextant.shared.robot.profile import RobotProfile
 
 _BAND = 0.35  # [m] to either side of the middle line in which cells count
@@ -27,10 +27,11 @@ _VERGE = 0.06  # [m] of bare ground before a foot, from which the foot stands in
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stance:
-    """A robot on six feet, with the yaw of the strip."""
+    """A robot on six feet."""
 
     body: Array  # (3,) [m] {strip} body origin
     feet: Array  # (6, 3) [m] {strip} foot centres
+    yaw: float = 0.0  # [rad] {strip} of the body
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +43,7 @@ class PassageStep:
     clearance: float  # [m] over the higher end
     body: Array  # [m] {strip} body at the end of the step, (3,)
     margin: float  # [m] minimum support margin of the step
+    yaw: float = 0.0  # [rad] {strip} of the body at the end of the step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +83,9 @@ class Roadmap:
     def __init__(self, profile: RobotProfile, settings: PassageSettings | None = None):
         """Allocate memory for the configurations of a robot."""
         self._profile, self._settings = profile, settings or PassageSettings()
-        self._legs, self._rules = legs_of(profile, self._settings), rules_of(profile, self._settings)
+        self._legs = legs_of(profile, self._settings)
+        self._straight, self._turning = (rules_of(profile, self._settings, turning) for turning in (False, True))
+        self._rules = self._straight
         self._tree = tree_of(self._settings.nodes)
         self._field: StripMap | None = None
 
@@ -109,7 +113,7 @@ class Roadmap:
         """Return n random stances of the current tree, for the benchmark."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool = False) -> None:
         """Start a new search.
 
         Args:
@@ -117,16 +121,18 @@ class Roadmap:
             stance: Stance of the robot.
             goal_x: [m] {strip} goal of the body.
             seed: Random seed of the samples.
+            turning: Whether the body may turn; otherwise it faces along the strip.
 
         Raises:
             ValueError: The stance has wrong shapes or feet that are not finite.
         """
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
-        self._field = field
+        self._field, self._rules = field, self._turning if turning else self._straight
         self._outcome: SectionPlan | NoSection | None = None
         self._ground = ground_of(field)
         self._goal_x, self._max_body_x = goal_x, self._end_of_the_known(field, stance)
+        self._yaw = round(stance.yaw / self._rules.yaw_step) if turning else 0
         self._root = self._repaired(stance)
         self._tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)
         self._tries = self._expanded_before = self._generated_before = 0
@@ -180,6 +186,7 @@ class Roadmap:
         tree.fails[:], tree.visits[:], tree.table[:] = 0, 0, -1
         tree.root[:], tree.body[0], tree.foot[0] = self._root.feet, self._root.body, roadmap_search.ROOT_FOOT
         tree.parent[0], tree.leg[0], tree.depth[0], tree.state[0], tree.cost[0] = -1, -1, 0, roadmap_search.PROVEN, 0.0
+        tree.yaw[0] = self._yaw
         tree.goal[0] = min(self._goal_x, self._max_body_x)
         tree.key[0], tree.queued[0], tree.turn[0] = 0.0, 0, 0
 
@@ -195,18 +202,18 @@ class Roadmap:
         The shift is limited by the settings. If no shift helps, the reason is kept in `_blame`.
         """
         self._blame, self._blamed, self._shift = "", WHOLE_ROBOT, np.zeros(3)
-        found = np.zeros(7, dtype=np.int64)
-        roadmap_search.faults(self._legs, self._rules, roadmap_search.WITHOUT_RESERVE, stance.feet, stance.body, found)
+        found, R_strip_level = np.zeros(7, dtype=np.int64), rotation_z(self._yaw * self._rules.yaw_step)
+        feet, level = stance.feet @ R_strip_level, stance.body @ R_strip_level
+        roadmap_search.faults(self._legs, self._rules, roadmap_search.WITHOUT_RESERVE, feet, level, found)
         if not found.any():
             return stance
         first = found.copy()
         for limits in (roadmap_search.WITH_RESERVE, roadmap_search.WITHOUT_RESERVE):  # the reserve is for the next steps
             for shift in _shifts(self._settings.max_repair_m, 0.005):
-                body = stance.body + shift
-                roadmap_search.faults(self._legs, self._rules, limits, stance.feet, body, found)
+                roadmap_search.faults(self._legs, self._rules, limits, feet, level + shift, found)
                 if not found.any():
-                    self._shift = shift
-                    return replace(stance, body=body)
+                    self._shift = R_strip_level @ shift
+                    return replace(stance, body=stance.body + self._shift)
         if np.count_nonzero(first[:6]) == 1 and not first[6]:
             return stance  # the next step of that leg repairs it
         self._blame, self._blamed = describe_fault(first, self._settings.max_repair_m), int(np.flatnonzero(first)[0])
@@ -232,7 +239,8 @@ class Roadmap:
         best = self._best
         assert best is not None
         assert self._field is not None
-        why = explain_failure(best.fails, best.stance.body, best.stance.feet, self._legs.stroke.sum(axis=1), self._field)
+        stance, strokes = best.stance, self._legs.stroke.sum(axis=1)
+        why = explain_failure(best.fails, stance.body, stance.feet, strokes, self._field, stance.yaw)
         no_way = self._no_way(why.words, why.unseen, best, why.leg)
         if not why.unseen or not best.retreat or self._ventures(best.retreat):
             return no_way
@@ -284,7 +292,12 @@ class Roadmap:
         return NoSection(reason, unseen, furthest.stance, self.generated, self.expanded, counts, furthest.steps, leg)
 
     def _stance(self, node: int) -> Stance:
-        return Stance(self._tree.body[node].copy(), np.array([self._foot(node, leg) for leg in range(6)]))
+        feet = np.array([self._foot(node, leg) for leg in range(6)])
+        return Stance(self._tree.body[node].copy(), feet, self._yaw_at(node))
+
+    def _yaw_at(self, node: int) -> float:
+        """Return the yaw [rad] {strip} of the body in a configuration."""
+        return float(self._tree.yaw[node]) * self._rules.yaw_step
 
     def _foot(self, node: int, leg: int) -> Array:
         code, ground = int(self._tree.foot[node, leg]), self._ground
@@ -299,7 +312,7 @@ class Roadmap:
         steps = [self._step(n) for n in self._back(node)][::-1]
         if self._shift.any():
             body = self._tree.body[0].copy()
-            steps.insert(0, PassageStep(roadmap_search.ALL_STAND, body, 0.0, body, self._settings.margin_m))
+            steps.insert(0, PassageStep(roadmap_search.ALL_STAND, body, 0.0, body, self._settings.margin_m, self._yaw_at(0)))
         return tuple(steps)
 
     def _before(self, node: int, way: float) -> int:
@@ -315,7 +328,8 @@ class Roadmap:
     def _step(self, node: int) -> PassageStep:
         tree, leg = self._tree, int(self._tree.leg[node])
         touchdown = self._foot(node, leg) if leg >= 0 else tree.body[node].copy()
-        return PassageStep(leg, touchdown, float(tree.lift[node]), tree.body[node].copy(), float(tree.margin[node]))
+        body, lift, margin = tree.body[node].copy(), float(tree.lift[node]), float(tree.margin[node])
+        return PassageStep(leg, touchdown, lift, body, margin, self._yaw_at(node))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,6 +9,9 @@ configuration is next in the queue. After an expansion for the due leg, the conf
 order, at a price.
 
 Joint limits are tested without inverse trigonometry: as directions, by the signs of cross products, and by the knee's cosine.
+
+The body turns in steps without a swing. So each swing has one heading, and is tested in the frame {level}: that of the strip,
+turned about its origin by the body's yaw. Only look-ups of the ground turn back, by a `Turn`.
 """
 
 import math
@@ -39,6 +42,9 @@ _PIECES = 12  # pieces of the path between two samples
 _LEVEL_SHARE = 0.8  # share of its clearance at which a swing is taken to be level
 _RISES = (0.20, 0.05, 0.70)  # shares of time, path and level height of the steepest possible rise
 _FALLS = (0.82, 0.95, 0.40)  # the same for the steepest descent
+
+
+Turn = tuple[float, float]  # cosine and sine of the body's yaw {strip}
 
 
 # Columns of `Legs.table`.
@@ -127,6 +133,10 @@ class Rules(NamedTuple):
     foot_samples: int  # n
     rounds: int  # of all legs that one configuration may take
     backward: float  # [m] by which a foot may be placed further back
+    yaw_step: float  # [rad] lattice of the body's yaw
+    yaw_change: int  # maximum change of the yaw in one step [lattice steps]; 0: the body does not turn
+    yaw_most: int  # maximum yaw {strip} [lattice steps]
+    sway: float  # [m] maximum sampled distance of the body from its normal height
 
 
 class Ground(NamedTuple):
@@ -147,6 +157,7 @@ class Tree(NamedTuple):
 
     root: Array  # (6, 3) [m] {strip} feet
     body: Array  # (n, 3) [m] {strip}
+    yaw: NDArray[np.int16]  # (n,) {strip} in lattice steps
     foot: NDArray[np.int32]  # (n, 6) cell, or ROOT_FOOT
     parent: NDArray[np.int32]  # (n,)
     leg: NDArray[np.int8]  # (n,) leg that swung in the step to the configuration
@@ -196,6 +207,37 @@ def _bell(state: NDArray[np.uint64]) -> float:
     It approximates a Gaussian with a standard deviation of a third, within its bounds (Masri 2016, eq. 5.2 and 5.4).
     """
     return (_uniform(state) + _uniform(state) + _uniform(state)) / 1.5 - 1.0
+
+
+# Headings -------------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _turn_of(rules: Rules, yaw: float) -> Turn:
+    """Return the turn of a yaw [lattice steps]."""
+    return math.cos(rules.yaw_step * yaw), math.sin(rules.yaw_step * yaw)
+
+
+@compiled
+def _to_level(turn: Turn, x: float, y: float) -> tuple[float, float]:
+    """Return a place {level} of a place {strip}."""
+    return turn[0] * x + turn[1] * y, turn[0] * y - turn[1] * x
+
+
+@compiled
+def _to_strip(turn: Turn, x: float, y: float) -> tuple[float, float]:
+    """Return a place {strip} of a place {level}."""
+    return turn[0] * x - turn[1] * y, turn[0] * y + turn[1] * x
+
+
+@compiled
+def _level_stance(tree: Tree, ground: Ground, rules: Rules, node: int, turn: Turn, feet: Array, body: Array) -> None:
+    """Write feet (6, 3) and body (3,) [m] {level} of a configuration."""
+    for k in range(6):
+        x, y, feet[k, 2] = _foot(tree, ground, rules, _wide(tree.foot[node, k]), k)
+        feet[k, 0], feet[k, 1] = _to_level(turn, x, y)
+    body[0], body[1] = _to_level(turn, tree.body[node, 0], tree.body[node, 1])
+    body[2] = tree.body[node, 2]
 
 
 # Tests of one leg -----------------------------------------------------------------------------------------------------------
@@ -521,8 +563,9 @@ def _collide(poses: Array, one: int, other: int, apart: float) -> bool:
 
 
 @compiled
-def _top(top: NDArray[np.float32], resolution: float, x0: float, y0: float, x: float, y: float) -> float:
-    """Return the highest known ground [m] within a cell of a place, else -inf."""
+def _top(top: NDArray[np.float32], resolution: float, x0: float, y0: float, turn: Turn, x: float, y: float) -> float:
+    """Return the highest known ground [m] within a cell of a place {level}, else -inf."""
+    x, y = _to_strip(turn, x, y)
     i, j = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
     if i < 0 or j < 0 or i >= top.shape[0] or j >= top.shape[1]:
         return -np.inf
@@ -531,7 +574,14 @@ def _top(top: NDArray[np.float32], resolution: float, x0: float, y0: float, x: f
 
 @compiled
 def _shank_clear(
-    top: NDArray[np.float32], resolution: float, x0: float, y0: float, poses: Array, leg: int, clear: float
+    top: NDArray[np.float32],
+    resolution: float,
+    x0: float,
+    y0: float,
+    turn: Turn,
+    poses: Array,
+    leg: int,
+    clear: float,
 ) -> bool:
     """Return whether a leg's tibia and knee stay above the ground by a distance [m].
 
@@ -541,13 +591,13 @@ def _shank_clear(
     for k in range(1, 5):
         s = 0.25 * k
         x, y, z = fx + s * (poses[leg, 3] - fx), fy + s * (poses[leg, 4] - fy), fz + s * (poses[leg, 5] - fz)
-        if z - _top(top, resolution, x0, y0, x, y) < clear:
+        if z - _top(top, resolution, x0, y0, turn, x, y) < clear:
             return False
     return True
 
 
 @compiled
-def _body_clear(ground: Ground, rules: Rules, bx: float, by: float, bz: float) -> bool:
+def _body_clear(ground: Ground, rules: Rules, turn: Turn, bx: float, by: float, bz: float) -> bool:
     """Return whether the trunk stays above all ground under it."""
     top, resolution = ground.top, ground.resolution
     least = bz - rules.half_height - rules.body_clear
@@ -555,7 +605,7 @@ def _body_clear(ground: Ground, rules: Rules, bx: float, by: float, bz: float) -
     while x <= rules.half_length + 1e-9:
         y = -rules.half_width
         while y <= rules.half_width + 1e-9:
-            if _top(top, resolution, ground.x0, ground.y0, bx + x, by + y) > least:
+            if _top(top, resolution, ground.x0, ground.y0, turn, bx + x, by + y) > least:
                 return False
             y += 2.0 * resolution  # `top` includes the neighbouring cells
         x += 2.0 * resolution
@@ -630,6 +680,7 @@ def _swing_test(
     shape: Array,
     rules: Rules,
     ground: Ground,
+    turn: Turn,
     feet: Array,
     goal: Array,
     leg: int,
@@ -676,7 +727,7 @@ def _swing_test(
         if k > 0 and not (_turns(table, leg, hx - bx, hy - by, hz - bz) and _turns(table, leg, x - bx, y - by, z - bz)):
             return REACH
         _pose(table, leg, bx, by, bz, x, y, z, poses)
-        if not _shank_clear(top, resolution, x0, y0, poses, leg, rules.leg_clear):
+        if not _shank_clear(top, resolution, x0, y0, turn, poses, leg, rules.leg_clear):
             return GROUND
         if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
             return LEGS
@@ -695,14 +746,24 @@ def _swing_test(
             )
             off = min((u - feet[leg, 0]) ** 2 + (v - feet[leg, 1]) ** 2, (u - goal[0]) ** 2 + (v - goal[1]) ** 2)
             needed = min(rules.swing_clear, 0.5 * math.sqrt(off) - 0.005)
-            if w - rules.foot_radius - _top(top, resolution, x0, y0, u, v) < needed:
+            if w - rules.foot_radius - _top(top, resolution, x0, y0, turn, u, v) < needed:
                 return SWING
         last_x, last_y, last_z, last_bx, last_by, last_bz = raw_x, raw_y, raw_z, bx, by, bz
     return OK
 
 
 @compiled
-def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array, poses: Array) -> int:
+def _stand_clear(
+    table: Array,
+    rules: Rules,
+    ground: Ground,
+    turn: Turn,
+    feet: Array,
+    leg: int,
+    b0: Array,
+    b1: Array,
+    poses: Array,
+) -> int:
     """Test the standing legs against each other and the ground in a body motion.
 
     The test applies half way and at the end.
@@ -713,7 +774,7 @@ def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: i
         for k in range(6):
             if k != leg:
                 _pose(table, k, bx, by, bz, feet[k, 0], feet[k, 1], feet[k, 2], poses)
-                if not _shank_clear(ground.top, ground.resolution, ground.x0, ground.y0, poses, k, rules.leg_clear):
+                if not _shank_clear(ground.top, ground.resolution, ground.x0, ground.y0, turn, poses, k, rules.leg_clear):
                     return GROUND
         for k in range(6):
             after = (k + 1) % 6
@@ -724,26 +785,44 @@ def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: i
 
 @compiled
 def _proven(
-    table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
+    table: Array,
+    shape: Array,
+    rules: Rules,
+    ground: Ground,
+    turn: Turn,
+    feet: Array,
+    goal: Array,
+    leg: int,
+    b0: Array,
+    b1: Array,
 ) -> tuple[int, float]:
     """Run the expensive tests of a step: return the result and the clearance [m]."""
-    test = _way_clear(table, rules, ground, feet, leg, b0, b1)
+    test = _way_clear(table, rules, ground, turn, feet, leg, b0, b1)
     if test != OK or leg == ALL_STAND:
         return test, 0.0
-    return _lifted(table, shape, rules, ground, feet, goal, leg, b0, b1)
+    return _lifted(table, shape, rules, ground, turn, feet, goal, leg, b0, b1)
 
 
 @compiled
-def _way_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array) -> int:
+def _way_clear(table: Array, rules: Rules, ground: Ground, turn: Turn, feet: Array, leg: int, b0: Array, b1: Array) -> int:
     """Test trunk and standing legs against the ground, and legs against each other."""
-    if not _body_clear(ground, rules, b1[0], b1[1], b1[2]):
+    if not _body_clear(ground, rules, turn, b1[0], b1[1], b1[2]):
         return GROUND
-    return _stand_clear(table, rules, ground, feet, leg, b0, b1, np.empty((6, 9)))
+    return _stand_clear(table, rules, ground, turn, feet, leg, b0, b1, np.empty((6, 9)))
 
 
 @compiled
 def _lifted(
-    table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
+    table: Array,
+    shape: Array,
+    rules: Rules,
+    ground: Ground,
+    turn: Turn,
+    feet: Array,
+    goal: Array,
+    leg: int,
+    b0: Array,
+    b1: Array,
 ) -> tuple[int, float]:
     """Return OK and the lowest feasible clearance [m] of a swing.
 
@@ -753,7 +832,7 @@ def _lifted(
     lift = rules.least_lift
     while lift <= rules.most_lift + 1e-9:
         for smooth in (False, True):
-            test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, smooth)
+            test = _swing_test(table, shape, rules, ground, turn, feet, goal, leg, b0, b1, lift, smooth)
             if test != OK:
                 break
         if test == OK:
@@ -763,16 +842,35 @@ def _lifted(
 
 
 @compiled
+def _turn_clear(table: Array, rules: Rules, ground: Ground, tree: Tree, parent: int, node: int) -> int:
+    """Test trunk and standing legs of a turn of the body, half way and at its end."""
+    feet, b0, b1 = np.empty((6, 3)), np.empty(3), np.empty(3)
+    for half in range(1, 3):
+        s = 0.5 * half
+        turn = _turn_of(rules, tree.yaw[parent] + s * (tree.yaw[node] - tree.yaw[parent]))
+        _level_stance(tree, ground, rules, parent, turn, feet, b0)
+        _level_stance(tree, ground, rules, node, turn, feet, b1)
+        for k in range(3):
+            b1[k] = b0[k] + s * (b1[k] - b0[k])
+        test = _way_clear(table, rules, ground, turn, feet, ALL_STAND, b1, b1)
+        if test != OK:
+            return int(test)
+    return int(OK)
+
+
+@compiled
 def _proof(legs: Legs, rules: Rules, ground: Ground, tree: Tree, node: int) -> int:
     """Prove the step to a configuration, store its clearance, return the test result."""
     parent, leg = _wide(tree.parent[node]), _wide(tree.leg[node])
-    feet, goal = np.empty((6, 3)), np.zeros(3)
-    for k in range(6):
-        feet[k, 0], feet[k, 1], feet[k, 2] = _foot(tree, ground, rules, _wide(tree.foot[parent, k]), k)
-    if leg != ALL_STAND:
-        goal[0], goal[1], goal[2] = _foot(tree, ground, rules, _wide(tree.foot[node, leg]), leg)
-    b0, b1 = tree.body[parent], tree.body[node]
-    test, tree.lift[node] = _proven(legs.table, legs.swing, rules, ground, feet, goal, leg, b0, b1)
+    feet, goal, b0, b1 = np.empty((6, 3)), np.zeros(3), np.empty(3), np.empty(3)
+    if tree.yaw[parent] != tree.yaw[node]:
+        return _turn_clear(legs.table, rules, ground, tree, parent, node)
+    turn = _turn_of(rules, tree.yaw[node])
+    _level_stance(tree, ground, rules, node, turn, feet, b1)
+    for k in range(3):
+        goal[k] = feet[leg, k] if leg != ALL_STAND else 0.0
+    _level_stance(tree, ground, rules, parent, turn, feet, b0)
+    test, tree.lift[node] = _proven(legs.table, legs.swing, rules, ground, turn, feet, goal, leg, b0, b1)
     return test
 
 
@@ -801,7 +899,7 @@ def judge(
         verdict: (m, n) output: the first failed test, or OK.
         lifts: (m, n) [m] output: clearances.
     """
-    table, codes = legs.table, np.zeros(6, np.int32)
+    table, codes, turn = legs.table, np.zeros(6, np.int32), (1.0, 0.0)
     verdict[:], lifts[:] = OK, 0.0
     begin = _support(rules, feet, leg, b0[0], b0[1])
     strained, _, _ = _stands(table, rules, codes, feet, leg, b0[0], b0[1], b0[2], _WITH_TORQUES)
@@ -821,10 +919,11 @@ def judge(
             if verdict[m, n] != OK:
                 continue
             if clear < 0:
-                clear = _way_clear(table, rules, ground, feet, leg, b0, b1)
+                clear = _way_clear(table, rules, ground, turn, feet, leg, b0, b1)
             verdict[m, n] = clear
             if clear == OK:
-                verdict[m, n], lifts[m, n] = _lifted(table, legs.swing, rules, ground, feet, goals[m, n], leg, b0, b1)
+                goal = goals[m, n]
+                verdict[m, n], lifts[m, n] = _lifted(table, legs.swing, rules, ground, turn, feet, goal, leg, b0, b1)
 
 
 @compiled
@@ -901,14 +1000,21 @@ def _square(foot: NDArray[np.int32], node: int, leg: int, ny: int, edge: int) ->
 
 @compiled
 def _known(
-    body: Array, foot: NDArray[np.int32], table: NDArray[np.int32], node: int, edge: float, foot_edge: int, ny: int
+    body: Array,
+    yaw: NDArray[np.int16],
+    foot: NDArray[np.int32],
+    table: NDArray[np.int32],
+    node: int,
+    edge: float,
+    foot_edge: int,
+    ny: int,
 ) -> bool:
     """Return whether an equivalent configuration is known; if not, store the node.
 
-    Configurations are equivalent if body and feet are in the same squares.
+    Configurations are equivalent if body and feet are in the same squares, and the yaw is the same.
     """
     ix, iy = math.floor(body[node, 0] / edge + 0.5), math.floor(body[node, 1] / edge + 0.5)
-    h = _mixed(_mixed(np.uint64(88172645463325252), ix), iy)
+    h = _mixed(_mixed(_mixed(np.uint64(88172645463325252), ix), iy), yaw[node])
     for leg in range(6):
         h = _mixed(h, _square(foot, node, leg, ny, foot_edge))
     mask = np.int64(len(table) - 1)
@@ -916,6 +1022,7 @@ def _known(
     while table[at] >= 0:
         other = _wide(table[at])
         same = math.floor(body[other, 0] / edge + 0.5) == ix and math.floor(body[other, 1] / edge + 0.5) == iy
+        same = same and yaw[other] == yaw[node]
         for leg in range(6):
             same = same and _square(foot, node, leg, ny, foot_edge) == _square(foot, other, leg, ny, foot_edge)
         if same:
@@ -937,9 +1044,12 @@ def _fail(tree: Tree, far: bool, test: int, leg: int) -> None:
 
 
 @compiled
-def _to_go(tree: Tree, legs: Legs, rules: Rules, feet: Array, bx: float) -> float:
-    """Return the estimated steps to go [1], from the body's distance and the feet."""
-    ahead = max(tree.goal[0] - bx, 0.0)
+def _to_go(tree: Tree, legs: Legs, rules: Rules, feet: Array, x: float, bx: float) -> float:
+    """Return the estimated steps to go [1], from the body's distance and the feet (6, 3) {level}.
+
+    `x` is the body's place {strip} and `bx` the one {level} [m].
+    """
+    ahead = max(tree.goal[0] - x, 0.0)
     lag = lagging = 0.0
     for leg in range(6):
         behind = bx + legs.rest[leg, 0] - feet[leg, 0]
@@ -949,25 +1059,30 @@ def _to_go(tree: Tree, legs: Legs, rules: Rules, feet: Array, bx: float) -> floa
 
 
 @compiled
-def _crowd(tree: Tree, rest: Array, feet: Array, bx: float) -> int:
-    """Return the progress bin of a configuration: the mean progress of body and feet."""
-    progress = bx
+def _crowd(tree: Tree, rest: Array, feet: Array, x: float, bx: float) -> int:
+    """Return the progress bin of a configuration: the mean progress of body and feet.
+
+    The arguments are those of `_to_go`.
+    """
+    progress = x
     for leg in range(6):
-        progress += (feet[leg, 0] - rest[leg, 0]) / 6.0
+        progress += (feet[leg, 0] + (x - bx) - rest[leg, 0]) / 6.0
     return min(max(math.floor(0.5 * progress / _CROWD), 0), len(tree.visits) - 1)
 
 
 @compiled
 def _key(tree: Tree, legs: Legs, rules: Rules, node: int, feet: Array, turn: int) -> float:
-    """Return the queue key of a configuration; the lowest is expanded first.
+    """Return the queue key of a configuration with feet (6, 3) {level}; the lowest is expanded first.
 
     This is the weight of Masri 2016, eq. (5.5), with a correction. He takes F - d_g / d and expands the lowest, which would
     reward distance to go. Here that distance is added. F is part of the cost, as the difference of each foothold from the best.
     A place with many expansions becomes more expensive, so that a search without progress continues further back.
     """
-    crowded = rules.crowd_price * tree.visits[_crowd(tree, legs.rest, feet, tree.body[node, 0])]
+    x = tree.body[node, 0]
+    bx, _ = _to_level(_turn_of(rules, tree.yaw[node]), x, tree.body[node, 1])
+    crowded = rules.crowd_price * tree.visits[_crowd(tree, legs.rest, feet, x, bx)]
     again = rules.turn_price * (turn + 7.0 * (turn // 7))
-    return float(tree.cost[node] + rules.eager * _to_go(tree, legs, rules, feet, tree.body[node, 0]) + again + crowded)
+    return float(tree.cost[node] + rules.eager * _to_go(tree, legs, rules, feet, x, bx) + again + crowded)
 
 
 @compiled
@@ -979,23 +1094,24 @@ def _add(
     parent: int,
     leg: int,
     body: Array,
+    yaw: int,
     code: int,
     feet: Array,
     price: float,
     margin: float,
 ) -> bool:
-    """Add a configuration unless it is known; return False if the memory is full."""
+    """Add a configuration, with body and feet {level}, unless it is known; return False if the memory is full."""
     node = tree.counts[NODES]
     if node >= len(tree.parent):
         return False
-    for k in range(3):
-        tree.body[node, k] = body[k]
+    tree.body[node, 0], tree.body[node, 1] = _to_strip(_turn_of(rules, yaw), body[0], body[1])
+    tree.body[node, 2], tree.yaw[node] = body[2], yaw
     for k in range(6):
         tree.foot[node, k] = tree.foot[parent, k]
     if leg >= 0:
         tree.foot[node, leg] = code
     ny = ground.evaluation.shape[1]
-    if _known(tree.body, tree.foot, tree.table, node, rules.alike_body, rules.alike_foot, ny):
+    if _known(tree.body, tree.yaw, tree.foot, tree.table, node, rules.alike_body, rules.alike_foot, ny):
         return True
     tree.counts[NODES] = node + 1
     tree.parent[node], tree.leg[node], tree.depth[node] = parent, leg, tree.depth[parent] + 1
@@ -1014,10 +1130,12 @@ def _swung_last(tree: Tree, node: int) -> int:
 
 
 @compiled
-def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array, bx: float, last: int, turn: int) -> int:
+def _next_leg(
+    rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array, bx: float, last: int, turn: int, turns: bool
+) -> int:
     """Return the leg for which a configuration is expanded.
 
-    The order is: the due leg, the others by their lag, then none.
+    The order is: the due leg, the others by their lag, then none. If the body turns, none comes after the due leg.
     """
     due = order[0]
     for k in range(6):
@@ -1025,6 +1143,8 @@ def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array,
             due = order[(k + 1) % 6]
     if turn == 0:
         return int(due)
+    if turns:
+        turn = turn - 1 if turn > 1 else 6
     if turn > 5:
         return ALL_STAND
     # Of the legs not yet taken, select the one with the largest lag. With six legs, counting those before each is enough.
@@ -1041,11 +1161,14 @@ def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array,
 
 
 @compiled
-def _place_price(rules: Rules, legs: Legs, ground: Ground, leg: int, code: int, x: float, y: float, bx: float) -> float:
-    """Return the price of a foothold: higher near an edge and off the nominal track."""
+def _place_price(rules: Rules, legs: Legs, ground: Ground, leg: int, code: int, y: float, by: float) -> float:
+    """Return the price of a foothold: higher near an edge and off the nominal track.
+
+    That is the track of a body in the middle of the strip, or of the body as it turns.
+    """
     F = ground.evaluation[code // ground.evaluation.shape[1], code % ground.evaluation.shape[1]]
     poor = max(0, F + 3)
-    aside = abs(y - legs.rest[leg, 1])
+    aside = abs(y - (by if rules.yaw_change > 0 else 0.0) - legs.rest[leg, 1])
     return float(rules.foothold_price * poor + rules.aside_price * aside)
 
 
@@ -1053,11 +1176,12 @@ def _place_price(rules: Rules, legs: Legs, ground: Ground, leg: int, code: int, 
 def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int, leg: int, far: bool, work: Array) -> bool:
     """Expand a configuration for one leg: up to m body motions, n footholds each.
 
-    The first six rows of `work` (12, 3) hold the feet. Return False if the memory is full.
+    `work` (12, 3) is memory; its first six rows are the feet {level} afterwards. Return False if the memory is full.
     """
     feet, after = work[:6], work[6:12]
-    codes = tree.foot[node]
-    b0 = tree.body[node]
+    codes, yaw = tree.foot[node], _wide(tree.yaw[node])
+    turn, b0 = _turn_of(rules, yaw), np.empty(3)
+    _level_stance(tree, ground, rules, node, turn, feet, b0)
     begin = _support(rules, feet, leg, b0[0], b0[1])
     if begin < rules.margin:
         _fail(tree, far, MARGIN, leg)
@@ -1078,11 +1202,21 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
         dx, dy = distance * math.cos(phi), distance * math.sin(phi)
         body[0] = rules.lattice * round((b0[0] + dx) / rules.lattice)
         body[1] = rules.lattice * round((b0[1] + dy) / rules.lattice)
+        if rules.sway > 0.0:
+            swayed = height + rules.sway * (2.0 * _uniform(tree.random) - 1.0)
+            body[2] = min(max(swayed, b0[2] - rules.climb), b0[2] + rules.climb)
+        if rules.yaw_change > 0 and leg < 0:
+            change = math.floor((2 * rules.yaw_change + 1) * _uniform(tree.random)) - rules.yaw_change
+            after_turn = min(max(yaw + change, -rules.yaw_most), rules.yaw_most)
+            if after_turn != yaw:
+                if not _expand_turn(tree, ground, legs, rules, node, after_turn, turn, body, after, begin, strained, far):
+                    return False
+                continue
         last_x[m], last_y[m] = body[0], body[1]
         known = leg < 0 and abs(body[0] - b0[0]) + abs(body[1] - b0[1]) < 1e-6
         for k in range(m):
             known = known or (abs(last_x[k] - body[0]) + abs(last_y[k] - body[1]) < 1e-6)
-        if known or abs(body[1]) > rules.drift + max(abs(tree.body[0, 1]) - rules.drift, 0.0):
+        if known or not _in_drift(tree, rules, turn, body):
             continue
         # 1. Body motion, with the legs that stand.
         margin = min(begin, _support(rules, feet, leg, body[0], body[1]))
@@ -1096,16 +1230,69 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
         if test != OK:
             _fail(tree, far, test, which)
             continue
-        price = rules.margin_price * max(0.0, 2.0 * rules.margin - margin)
-        price += rules.torque_price * max(0.0, max(torque, strained) - rules.easy_torque)
+        price = _stance_price(rules, margin, max(torque, strained))
         if leg < 0:
-            if not _add(tree, ground, legs, rules, node, leg, body, ROOT_FOOT, feet, rules.still_price + price, margin):
+            if not _add(tree, ground, legs, rules, node, leg, body, yaw, ROOT_FOOT, feet, rules.still_price + price, margin):
                 return False
             continue
         # 2. Footholds of the swinging leg.
-        if not _footholds(tree, ground, legs, rules, node, leg, body, feet, after, price, margin, far):
+        if not _footholds(tree, ground, legs, rules, node, leg, body, turn, feet, after, price, margin, far):
             return False
     return True
+
+
+@compiled
+def _in_drift(tree: Tree, rules: Rules, turn: Turn, body: Array) -> bool:
+    """Return whether a body (3,) {level} is near enough to the middle of the strip."""
+    _, y = _to_strip(turn, body[0], body[1])
+    return bool(abs(y) <= rules.drift + max(abs(tree.body[0, 1]) - rules.drift, 0.0))
+
+
+@compiled
+def _stance_price(rules: Rules, margin: float, torque: float) -> float:
+    """Return the price of a small support margin and of a large torque."""
+    price = rules.margin_price * max(0.0, 2.0 * rules.margin - margin)
+    price += rules.torque_price * max(0.0, torque - rules.easy_torque)
+    return float(price)
+
+
+@compiled
+def _expand_turn(
+    tree: Tree,
+    ground: Ground,
+    legs: Legs,
+    rules: Rules,
+    node: int,
+    yaw: int,
+    turn: Turn,
+    body: Array,
+    feet: Array,
+    margin: float,
+    strained: float,
+    far: bool,
+) -> bool:
+    """Add a turn of the body to a yaw [lattice steps] while all feet stand; return False if the memory is full.
+
+    `turn` is the one of the configuration, and `body` (3,) the place after the motion in its frame {level}. `feet` (6, 3) is
+    memory.
+    """
+    if not _in_drift(tree, rules, turn, body):
+        return True
+    end, b0, at, torque = _to_strip(turn, body[0], body[1]), tree.body[node], np.empty(3), 0.0
+    half_turn = 0.5 * (yaw - tree.yaw[node])
+    for half in range(1, 3):
+        s = 0.5 * half
+        turned = _turn_of(rules, tree.yaw[node] + half * half_turn)
+        _level_stance(tree, ground, rules, node, turned, feet, at)
+        at[0], at[1] = _to_level(turned, b0[0] + s * (end[0] - b0[0]), b0[1] + s * (end[1] - b0[1]))
+        at[2] = b0[2] + s * (body[2] - b0[2])
+        margin = min(margin, _support(rules, feet, ALL_STAND, at[0], at[1]))
+        test, which, torque = _stands(legs.table, rules, tree.foot[node], feet, ALL_STAND, at[0], at[1], at[2], _WITH_TORQUES)
+        if margin < rules.margin or test != OK:
+            _fail(tree, far, test if test != OK else MARGIN, which)
+            return True
+    price = rules.still_price + _stance_price(rules, margin, max(torque, strained))
+    return _add(tree, ground, legs, rules, node, ALL_STAND, at, yaw, ROOT_FOOT, feet, price, margin)
 
 
 @compiled
@@ -1131,13 +1318,17 @@ def _footholds(
     node: int,
     leg: int,
     body: Array,
+    turn: Turn,
     feet: Array,
     after: Array,
     price: float,
     margin: float,
     far: bool,
 ) -> bool:
-    """Add configurations with footholds for one body motion; False if memory is full."""
+    """Add configurations with footholds for one body motion; False if memory is full.
+
+    Body and feet are {level}, turned by `turn`.
+    """
     F = ground.evaluation
     nx, ny = F.shape
     tip_x = body[0] + legs.rest[leg, 0] - legs.stroke[leg, 0] - rules.foot_back
@@ -1146,7 +1337,8 @@ def _footholds(
     farthest = rules.foot_back + rules.foot_high * whole
     nearest = rules.foot_back + rules.foot_low * whole
     rearmost = feet[leg, 0] - rules.backward
-    if _has_sunk(ground, tree.foot[node, leg], feet[leg, 0], feet[leg, 1]):
+    foot_x, foot_y = _to_strip(turn, feet[leg, 0], feet[leg, 1])
+    if _has_sunk(ground, tree.foot[node, leg], foot_x, foot_y):
         rearmost, nearest = -np.inf, rules.foot_back  # as far back as the leg reaches
     else:
         nearest = max(nearest, feet[leg, 0] - tip_x)  # forward
@@ -1157,8 +1349,9 @@ def _footholds(
         tried[n] = -1
         distance = nearest + (farthest - nearest) * _uniform(tree.random)
         phi = rules.foot_angle * _bell(tree.random)
-        i = math.floor((tip_x + distance * math.cos(phi) - ground.x0) / ground.resolution + 0.5)
-        j = math.floor((tip_y + distance * math.sin(phi) - ground.y0) / ground.resolution + 0.5)
+        x, y = _to_strip(turn, tip_x + distance * math.cos(phi), tip_y + distance * math.sin(phi))
+        i = math.floor((x - ground.x0) / ground.resolution + 0.5)
+        j = math.floor((y - ground.y0) / ground.resolution + 0.5)
         if not (0 <= i < nx and 0 <= j < ny):
             _fail(tree, far, UNKNOWN, leg)
             continue
@@ -1183,6 +1376,7 @@ def _footholds(
             _fail(tree, far, UNKNOWN if unseen else FOOTHOLD, leg)
             continue
         x, y, z = _foot(tree, ground, rules, code, leg)
+        x, y = _to_level(turn, x, y)
         if x < rearmost or code == tree.foot[node, leg]:
             if unseen:
                 _fail(tree, far, UNKNOWN, leg)
@@ -1194,8 +1388,9 @@ def _footholds(
         if test != OK:
             _fail(tree, far, UNKNOWN if unseen else test, leg)
             continue
-        place = _place_price(rules, legs, ground, leg, code, x, y, body[0])
-        if not _add(tree, ground, legs, rules, node, leg, body, code, after, price + place, margin):
+        place = _place_price(rules, legs, ground, leg, code, y, body[1])
+        yaw = _wide(tree.yaw[node])
+        if not _add(tree, ground, legs, rules, node, leg, body, yaw, code, after, price + place, margin):
             return False
     return True
 
@@ -1206,7 +1401,7 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) 
 
     It is lower than requested if the search ends: with `counts[GOAL]` set, with an empty queue, or with full memory.
     """
-    work = np.empty((12, 3))
+    work, level = np.empty((12, 3)), np.empty(3)
     done = 0
     while done < expansions and tree.counts[QUEUED] > 0 and tree.counts[GOAL] < 0:
         _, node, turn = _pop(tree)
@@ -1233,11 +1428,10 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) 
                 tree.counts[FURTHEST] = node
                 tree.fails[1] = 0
         far = tree.body[node, 0] > tree.body[tree.counts[FURTHEST], 0] - 0.02
-        for k in range(6):
-            work[k, 0], work[k, 1], work[k, 2] = _foot(tree, ground, rules, _wide(tree.foot[node, k]), k)
-        bx = tree.body[node, 0]
-        leg = _next_leg(legs.rest, legs.stroke, legs.order, work, bx, _swung_last(tree, node), turn % 7)
-        tree.visits[_crowd(tree, legs.rest, work, bx)] += 1
+        _level_stance(tree, ground, rules, node, _turn_of(rules, tree.yaw[node]), work, level)
+        x, bx, last = tree.body[node, 0], level[0], _swung_last(tree, node)
+        leg = _next_leg(legs.rest, legs.stroke, legs.order, work, bx, last, turn % 7, rules.yaw_change > 0)
+        tree.visits[_crowd(tree, legs.rest, work, x, bx)] += 1
         room = _expand_for(tree, ground, legs, rules, node, leg, far, work)
         if turn + 1 < 7 * rules.rounds:
             room = _push(tree, _key(tree, legs, rules, node, work, turn + 1), node, turn + 1) and room

@@ -1,5 +1,7 @@
 """Tables of a robot and its settings for the compiled search."""
 
+import math
+
 import numpy as np
 
 from sextant.services.planner.locomotion.swing_clearance import LEVEL, SWING_TIME, lowest_path
@@ -22,6 +24,7 @@ from sextant.shared.robot.profile import GRAVITY, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass
 
 ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
+YAW_STEP_DEG = 3.0  # [deg] lattice of the body's yaw
 _EASY = 1.0 / 3.0  # share of stall torque that a servo sustains for hours (AX-12A data; assumed equal for the RX-64)
 
 
@@ -50,8 +53,8 @@ def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
     )
 
 
-def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
-    """Return the lengths and limits of the tests."""
+def rules_of(profile: RobotProfile, settings: PassageSettings, turning: bool = False) -> Rules:
+    """Return the lengths and limits of the tests; `turning` is whether the body may turn."""
     links, stance, body = profile.links, profile.stance, profile.body
     size = links.femur + links.tibia
     centre = resting_centre_of_mass(profile)
@@ -91,8 +94,8 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
         strong=settings.strong_cells,
         wide=settings.wide_cells,
         weakest=settings.weakest_cells,
-        drift=settings.drift_m,
-        depth=6 * settings.cycles,
+        drift=settings.turning_drift_m if turning else settings.drift_m,
+        depth=(9 if turning else 6) * settings.cycles,  # a cycle has up to three turns between its steps
         step_gain=0.15 * size,
         eager=settings.eager,
         lag_price=settings.lag_price,
@@ -107,6 +110,10 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
         foot_samples=settings.footholds,
         rounds=settings.rounds,
         backward=0.02,
+        yaw_step=math.radians(YAW_STEP_DEG),
+        yaw_change=round(settings.turn_deg / YAW_STEP_DEG) if turning else 0,
+        yaw_most=round(settings.most_turn_deg / YAW_STEP_DEG),
+        sway=settings.sway_m if turning else 0.0,
     )
 
 
@@ -138,6 +145,7 @@ def tree_of(nodes: int) -> Tree:
     return Tree(
         root=np.zeros((6, 3)),
         body=np.full((nodes, 3), 0, dtype=np.float64),
+        yaw=np.full(nodes, 0, dtype=np.int16),
         foot=np.full((nodes, 6), ROOT_FOOT, dtype=np.int32),
         parent=np.full(nodes, -1, dtype=np.int32),
         leg=np.full(nodes, -1, dtype=np.int8),

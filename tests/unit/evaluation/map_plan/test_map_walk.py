@@ -87,12 +87,29 @@ def test_gap_is_crossed_over_pillars_or_refused() -> None:
     assert around.reason.startswith("no path to (2.4, 0.0): blocked by")
 
 
+def test_bridge_aside_of_the_goal_is_crossed_with_turns_of_the_body() -> None:
+    heights, turn = flat(), np.radians(20.0)
+    heights[row(0.9) : row(1.7)] = -0.5
+    x, y = np.meshgrid(
+        0.01 * np.arange(heights.shape[0]) + ORIGIN[0], 0.01 * np.arange(heights.shape[1]) + ORIGIN[1], indexing="ij"
+    )
+    for along in (-0.26, 0.0, 0.26):
+        off_x, off_y = x - 1.3 - along, y - (0.35 + along) * np.tan(turn)
+        ahead, left = np.cos(turn) * off_x + np.sin(turn) * off_y, np.cos(turn) * off_y - np.sin(turn) * off_x
+        heights[(np.abs(ahead) <= 0.085) & (np.abs(np.abs(left) - 0.16) <= 0.05)] = 0.0
+    found = plan(heights)
+    assert found.reached, found.reason
+    assert max(yaw_of(move.T_map_body) for move in found.moves if move.crosses) > np.radians(10.0)
+    check(found)
+
+
 def test_gap_without_footholds_is_refused_with_the_leg_that_fails() -> None:
     heights = flat()
     heights[row(0.9) : row(1.5)] = -0.5
     found = plan(heights)
     assert not found.reached
-    assert "no gap crossing: no step from" in found.reason
+    assert "no gap crossing: straight on: no step from" in found.reason
+    assert "; with turns of the body: no step from" in found.reason
     assert "front leg: out of reach" in found.reason
 
 

@@ -10,11 +10,11 @@ from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, NextStep, Outcome, Wait
 from sextant.services.planner.gap_crossing.section_search import ATTEMPTS, PLANNINGS
 from sextant.services.planner.gap_crossing.state_machine import GapCrossing
-from sextant.services.planner.gap_crossing.strip_survey import STRIP
+from sextant.services.planner.gap_crossing.strip_survey import STRIP, TURNING_WIDTH
 from sextant.services.planner.roadmap.roadmap import NoSection, PassageStep, SectionPlan, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.robot_estimate import WorldStance
-from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN, Mode, PassageMap
 from tests.support.states import actuator_state
@@ -24,7 +24,8 @@ HEIGHT = 0.10
 MS = 1_000_000
 GOAL = np.array([1.9, 0.0])
 GAP = (1.1, 1.9)  # [m] {strip} begin and end of the gap
-NX, NY = (round(length / 0.01) for length in STRIP)
+_ALL = (1 + PLANNINGS) * ATTEMPTS  # number of attempts before a refusal: straight on once, then with turns of the body
+NX = round(STRIP[0] / 0.01)
 
 
 class ScriptedRoadmap:
@@ -33,11 +34,13 @@ class ScriptedRoadmap:
     def __init__(self, *found: SectionPlan | NoSection) -> None:
         self.found = list(found)
         self.begun: list[tuple[StripMap, Stance, float, int]] = []
+        self.turning: list[bool] = []
         self.grown = 0
         self.edges: Array = np.zeros((3, 2, 3))
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool) -> None:
         self.begun.append((field, stance, goal_x, seed))
+        self.turning.append(turning)
         self.grown = 0
 
     def grow(self, expansions: int) -> SectionPlan | NoSection | None:
@@ -85,19 +88,20 @@ class Robot:
         self.state = replace(self.state, step=move.number)
 
     def look(self) -> PassageMap:
-        heights = np.zeros((NX, NY), dtype=np.float32)
-        evaluation = np.full((NX, NY), -9, dtype=np.int8)
+        (request,) = [r for r in [self.crossing.request(self.now_ns + 10**9)] if r is not None]
+        size = NX, round(request.width / 0.01)
+        heights = np.zeros(size, dtype=np.float32)
+        evaluation = np.full(size, -9, dtype=np.int8)
         if self.gap:
             evaluation[round(GAP[0] * 100) : round(GAP[1] * 100)] = 5
-        shows = np.zeros((NX, NY), dtype=np.bool_)
+        shows = np.zeros(size, dtype=np.bool_)
         shows[150:170, 40:60] = self.looks > 0
         raised = self.T.copy()
         raised[2, 3] += 0.07
-        (request,) = [r for r in [self.crossing.request(self.now_ns + 10**9)] if r is not None]
         T = from_xyz_rpy((*request.origin, 0.0), (0.0, 0.0, request.heading))
         return PassageMap(
-            self.now_ns, 0.01, apply(T, np.array([0.005, 0.005 - STRIP[1] / 2, 0.0]))[:2], request.heading, heights,
-            np.zeros((NX, NY, 3), np.int16), heights, np.zeros((NX, NY), np.bool_), evaluation, 0.1, "", raised, shows,
+            self.now_ns, 0.01, apply(T, np.array([0.005, 0.005 - request.width / 2, 0.0]))[:2], request.heading, heights,
+            np.zeros((*size, 3), np.int16), heights, np.zeros(size, np.bool_), evaluation, 0.1, "", raised, shows,
         )  # fmt: skip
 
     def until(self, done: Callable[[], bool]) -> None:
@@ -208,15 +212,33 @@ def test_success_report_has_no_failed_leg() -> None:
 
 
 def test_crossing_is_refused_with_planner_reason_after_all_attempts() -> None:
-    robot = Robot(ScriptedRoadmap(*[no_way("all")] * (PLANNINGS * ATTEMPTS - 1), no_way("left front leg: out of reach")))
-    assert robot.until_end() == CannotCross("left front leg: out of reach")
-    assert len({seed for *_, seed in robot.sections.begun}) == PLANNINGS * ATTEMPTS
+    robot = Robot(ScriptedRoadmap(*[no_way("all")] * (_ALL - 1), no_way("left front leg: out of reach")))
+    refused = CannotCross("straight on: all; with turns up to 45 deg: left front leg: out of reach")
+    assert robot.until_end(3000) == refused
+    assert len({seed for *_, seed in robot.sections.begun}) == _ALL
+
+
+def test_body_turns_only_after_straight_sections_are_refused() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way("all")] * ATTEMPTS, section(0.0, 1.85)))
+    assert robot.until_end() == Completed("no gap ahead of the robot")
+    assert robot.sections.turning == [False] * ATTEMPTS + [True]
+    widths = [field.evaluation.shape[1] * field.resolution for field, *_ in robot.sections.begun]
+    assert widths == pytest.approx([STRIP[1]] * ATTEMPTS + [TURNING_WIDTH])
+    assert "surveying the gap again: no section leads straight on: all" in robot.wait_messages
+
+
+def test_section_that_turns_is_planned_and_walked_with_the_yaw_of_the_body() -> None:
+    turned = section(0.0, 0.3)
+    turned = replace(turned, steps=tuple(replace(step, yaw=0.1 * k) for k, step in enumerate(turned.steps)), complete=False)
+    robot = Robot(ScriptedRoadmap(*[no_way("all")] * ATTEMPTS, turned, section(0.3, 1.85)))
+    assert robot.until_end() == Completed("no gap ahead of the robot")
+    assert [yaw_of(move.stride.body_goal) for move in robot.moves[:6]] == pytest.approx([0.1 * k for k in range(6)])
+    assert robot.sections.begun[-1][1].yaw == pytest.approx(0.5)
 
 
 def test_failed_planning_is_repeated_on_newer_map() -> None:
     robot = Robot(ScriptedRoadmap(*[no_way("all")] * ATTEMPTS, section(0.0, 1.85)))
     assert robot.until_end() == Completed("no gap ahead of the robot")
-    assert "surveying the gap again: all" in robot.wait_messages
     maps = [field for field, *_ in robot.sections.begun]
     assert maps[ATTEMPTS] is not maps[ATTEMPTS - 1]
 
@@ -302,7 +324,7 @@ def test_refused_view_pose_is_skipped() -> None:
 
 def test_section_goal_is_not_behind_unknown_ground() -> None:
     """Check that the goal is not behind ground that was not seen."""
-    robot = Robot(ScriptedRoadmap(*[no_way()] * PLANNINGS * ATTEMPTS))
+    robot = Robot(ScriptedRoadmap(*[no_way()] * _ALL))
     look = robot.look
 
     def short() -> PassageMap:
@@ -358,7 +380,7 @@ def test_map_of_other_strip_or_invalid_map_is_refused(changes: dict[str, object]
 
 
 def test_distant_view_pose_is_not_taken() -> None:
-    robot = Robot(ScriptedRoadmap(*[no_way()] * PLANNINGS * ATTEMPTS), looks=5)
+    robot = Robot(ScriptedRoadmap(*[no_way()] * _ALL), looks=5)
     look = robot.look
     robot.look = lambda: replace(look(), T_world_next_view=from_xyz_rpy((0.0, 0.0, 0.9), np.zeros(3)))  # type: ignore[method-assign]
     robot.until_end()
@@ -383,25 +405,25 @@ def test_unseen_ground_is_surveyed_again_before_refusal() -> None:
 
 
 def test_dead_end_is_left_by_backtracking() -> None:
-    robot = Robot(ScriptedRoadmap(section(0.0, 0.6), *[no_way("stuck")] * ATTEMPTS, section(0.4, 1.85)))
+    robot = Robot(ScriptedRoadmap(section(0.0, 0.6), *[no_way("stuck")] * (2 * ATTEMPTS), section(0.4, 1.85)))
     assert robot.until_end() == Completed("no gap ahead of the robot")
     assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6), 5, 4, *range(6)]
     assert any("backtracking 2 steps to find another path: stuck" in words for words in robot.wait_messages)
-    assert [m.words for m in robot.moves[6:8]] == [f"gap crossing, backtracking in section 2: step {k} of 2" for k in (1, 2)]
-    first, again = robot.sections.begun[0][1], robot.sections.begun[ATTEMPTS + 1][1]
+    assert [m.words for m in robot.moves[6:8]] == [f"gap crossing, backtracking in section 3: step {k} of 2" for k in (1, 2)]
+    first, again = robot.sections.begun[0][1], robot.sections.begun[2 * ATTEMPTS + 1][1]
     assert again.body[0] == pytest.approx(first.body[0] + 0.4)
     np.testing.assert_allclose(again.feet[4:], first.feet[4:], atol=1e-9)
     assert (again.feet[:4, 0] > first.feet[:4, 0] + 0.5).all()
 
 
 def test_crossing_is_refused_after_backtracking_fails() -> None:
-    end = Robot(ScriptedRoadmap(section(0.0, 0.6), *[no_way("stuck")] * ((1 + PLANNINGS) * ATTEMPTS))).until_end()
-    assert end == CannotCross("stuck")
+    end = Robot(ScriptedRoadmap(section(0.0, 0.6), *[no_way("stuck")] * ((2 + PLANNINGS) * ATTEMPTS))).until_end(3000)
+    assert end == CannotCross("straight on: stuck; with turns up to 45 deg: stuck")
 
 
 def test_reason_states_that_no_better_view_is_available() -> None:
     blind = replace(no_way("cells ahead are unknown"), unseen=True)
-    end = Robot(ScriptedRoadmap(*[blind] * (PLANNINGS * ATTEMPTS))).until_end()
+    end = Robot(ScriptedRoadmap(*[blind] * (_ALL + ATTEMPTS))).until_end(3000)
     assert isinstance(end, CannotCross)
     assert end.reason.endswith("cells ahead are unknown; no better view is available")
 

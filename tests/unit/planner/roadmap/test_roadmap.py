@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.peers.passage_checker import violations
-from benchmarks.peers.passage_strips import BEYOND, NEAR, START, Block, heights, thesis_blocks
+from benchmarks.peers.passage_strips import BEYOND, FAR, FLOOR, NEAR, START, Block, heights, thesis_blocks
 from sextant.evaluation.scoring.passage_truth import stance_at
 from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search
@@ -21,7 +21,7 @@ from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, Section
 from sextant.services.planner.roadmap.roadmap_search import nearest_seen
 from sextant.services.planner.roadmap.sections import bare
 from sextant.services.planner.roadmap.strip_map import StripMap
-from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.geometry import apply, from_xyz_rpy
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN
@@ -42,9 +42,9 @@ def level(length: float = 2.0) -> StripMap:
 
 
 def grown(
-    roadmap: Roadmap, field: StripMap, stance: Stance, goal_x: float, seed: int = 1, part: int = 10**6
+    roadmap: Roadmap, field: StripMap, stance: Stance, goal_x: float, seed: int = 1, part: int = 10**6, turning: bool = False
 ) -> SectionPlan | NoSection:
-    roadmap.begin(field, stance, goal_x, seed)
+    roadmap.begin(field, stance, goal_x, seed, turning)
     while (outcome := roadmap.grow(part)) is None:
         pass
     return outcome
@@ -89,6 +89,65 @@ def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: 
             assert field.evaluation[i, j] <= SETTINGS.weakest_cells
             assert step.touchdown[2] == pytest.approx(field.elevation[i, j] + PROFILE.foot.radius)
             assert SETTINGS.swing_clear_m <= step.clearance <= PROFILE.stance.max_lift
+
+
+def bridge(lines: list[tuple[float, float, float]], tops: tuple[float, float] = (0.0, 0.0)) -> StripMap:
+    """Return a wide strip with pairs of pillars in a gap.
+
+    Each line is the middle (x, y) [m] {strip} of a pair and its heading [rad]. The tops [m] are those of the left and the right
+    pillar of the first pair; they change sides from pair to pair.
+    """
+    x = 0.01 * (np.arange(round((NEAR + GAP + FAR) / 0.01)) + 0.5)
+    y = 0.01 * (np.arange(140) - 69.5)
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    ground = np.where((x > NEAR) & (x < NEAR + GAP), FLOOR, 0.0)[:, None] * np.ones(len(y))
+    for k, (along, aside, heading) in enumerate(lines):
+        T_strip_pair = from_xyz_rpy((along, aside, 0.0), (0.0, 0.0, heading))
+        for side, top in ((1, tops[k % 2]), (-1, tops[1 - k % 2])):
+            off = np.abs((places - T_strip_pair[:2, 3]) @ T_strip_pair[:2, :2] - [0.0, 0.16 * side])
+            ground[(off[..., 0] <= 0.085) & (off[..., 1] <= 0.05)] = top
+    return strip_of(ground.astype(np.float32), HEIGHT)
+
+
+def turned_bridge(heading: float) -> StripMap:
+    """Return a bridge of three pairs on a line at a heading [rad] to the strip."""
+    middle = NEAR + GAP / 2
+    return bridge([(middle + off, (0.3 + off) * np.tan(heading), heading) for off in (-0.25, 0.0, 0.25)])
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        pytest.param(turned_bridge(np.radians(20.0)), id="20 deg to the left"),
+        pytest.param(turned_bridge(np.radians(-30.0)), id="30 deg to the right"),
+        pytest.param(bridge([(NEAR + 0.15, 0.0, 0.3), (NEAR + 0.4, 0.1, 0.0), (NEAR + 0.65, 0.0, -0.3)]), id="S"),
+    ],
+)
+def test_bridge_that_bends_is_crossed_with_turns_of_the_body(roadmap: Roadmap, field: StripMap) -> None:
+    stance, goal_x = stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND
+    for seed in range(8):
+        found = grown(roadmap, field, stance, goal_x, seed, turning=True)
+        if isinstance(found, SectionPlan) and found.complete:
+            break
+    assert isinstance(found, SectionPlan)
+    assert found.complete
+    assert violations(PROFILE, field, stance, found.steps) == []
+    yaws = [0.0, *(step.yaw for step in found.steps)]
+    turns = np.degrees(np.diff(yaws))
+    assert np.abs(turns).max() <= SETTINGS.turn_deg + 1e-9
+    assert {step.leg for step, turn in zip(found.steps, turns, strict=True) if turn} == {-1}
+    assert found.end.yaw == found.steps[-1].yaw
+
+
+def test_search_from_turned_stance_keeps_its_heading_on_level_ground(roadmap: Roadmap) -> None:
+    yaw = np.radians(30.0)
+    body = np.array([START, -0.2, HEIGHT])
+    stance = Stance(body, apply(from_xyz_rpy(body, (0.0, 0.0, yaw)), PROFILE.rest_feet(HEIGHT)), yaw)
+    field = strip_of(np.zeros((200, 140), dtype=np.float32))
+    found = grown(roadmap, field, stance, 1.0, turning=True)
+    assert isinstance(found, SectionPlan)
+    assert found.complete
+    assert violations(PROFILE, field, stance, found.steps) == []
 
 
 @pytest.mark.slow
