@@ -27,10 +27,16 @@ def calibrate(robot: str, connection: options.Connection, out: str | None, rehea
     """Measure mount, depth error and delay of the camera, and the horns: the robot moves its body over a flat floor."""
     from sextant.services.perception.calibration.calibration_client import CalibrationClient
     from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.servo.servo_model import Feedback
     from sextant.shared.wire import topics
 
     path, base, _ = options.own_file(robot, out)
     profile = load_profile(robot)  # the one with which the services run
+    if Feedback.POSITION not in profile.servo_model.feedback:
+        raise InputError(
+            f"a robot with measured joint angles expected, found {profile.name}: its servos report none, so their sag would "
+            "count as an error of the camera; measure the mount with a ruler, and state it in the table [camera] of its profile"
+        )
     if rehearse is not None:
         found = _rehearsed(rehearse, robot, seed)
         status = _finish(found.robot, profile, path, base)
@@ -50,14 +56,15 @@ def calibrate(robot: str, connection: options.Connection, out: str | None, rehea
 
 
 def _rehearsed(name: str, robot: str, seed: int) -> "Rehearsal":
-    """Calibrate the simulated robot of a scenario, which is the real one, with the profile of --robot."""
+    """Calibrate a simulated robot with the profile of --robot; the real one is that of the scenario, or the profile's base."""
     from dataclasses import replace
 
     from sextant.evaluation.lockstep.calibration_run import rehearse
+    from sextant.shared.robot.profiles import base_profile
     from sextant.shared.scenario.scenario import load_scenario
 
     scenario = load_scenario(name)
-    return rehearse(replace(scenario, robot=robot, real_robot=scenario.real_robot or scenario.robot), seed, say)
+    return rehearse(replace(scenario, robot=robot, real_robot=scenario.real_robot or base_profile(robot)), seed, say)
 
 
 def _finish(found: "CalibratedRobot", profile: "RobotProfile", path: Path, base: str) -> int:

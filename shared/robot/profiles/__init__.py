@@ -30,6 +30,21 @@ def load_profile(name_or_path: str) -> RobotProfile:
         return config.build(_table(path), RobotProfile, str(path))
 
 
+def base_profile(name_or_path: str) -> str:
+    """Return the name or path of the profile at the end of the chain that a profile extends; one that extends none is its own.
+
+    Raises:
+        ConfigError: A file does not exist, or is invalid.
+    """
+    if not name_or_path.endswith(".toml"):
+        return name_or_path
+    load_profile(name_or_path)  # the chain has an end
+    base = config.read(Path(name_or_path)).get("extends")
+    if base is None:
+        return name_or_path
+    return base_profile(str(Path(name_or_path).parent / base) if base.endswith(".toml") else base)
+
+
 def _shipped(name: str, asked_by: str) -> Traversable:
     """Return the file of a bundled profile.
 

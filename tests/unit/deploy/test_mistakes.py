@@ -92,6 +92,8 @@ MISTAKES = [
     ("camera calibrat", "unknown command 'calibrat'; did you mean 'calibrate'?"),
     ("camera calibrate --out robot.txt", "--out: a file that ends in .toml expected, found robot.txt"),
     ("camera calibrate --rehearse flt", "did you mean 'flat'?"),
+    ("camera calibrate --robot printed_ds3218", "a robot with measured joint angles expected, found printed_ds3218"),
+    ("camera calibrate --robot printed_ds3218 --rehearse flat", "measure the mount with a ruler"),
     ("keys shwo here", "did you mean 'show'?"),
     ("demo step", "did you mean 'steps'?"),
     ("up onbord", "did you mean 'onboard'?"),
