@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from itertools import groupby
 from types import FrameType
@@ -27,12 +27,14 @@ if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.bus_scan import Problem
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
     from sextant.services.actuator.servo_bus.servo_interface import Servos
+    from sextant.services.actuator.servo_bus.several_buses import AnyBus
     from sextant.shared.robot.profile import Calibration, RobotProfile
     from sextant.shared.servo.servo_model import ServoModel
 
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
 _LONGEST_BYTES = 110  # [bytes] of the longest answer that a scan reads, with its request
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
+_ONE_BUS = "--bus: none expected, because the robot has one bus"
 _NOBODY_SAYS = "torque off is not confirmed: if the legs do not give way, switch the servos' power off"
 _LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 
@@ -91,24 +93,37 @@ _of_one = options_of(
 @options.as_json
 def scan(bus: Bus, ids: range | None, all_rates: bool, as_json: bool) -> int:
     """List the servos on the bus; report missing, duplicate, wrong or reset ones."""
-    from sextant.services.actuator.commissioning import set_ids
-
     profile = _profile(bus.robot)
     if profile.servo.pulses is not None:
         return pulse_servos.scan(bus.port, profile, as_json)
+    seen = [_scan_bus(*one, ids, all_rates, as_json) for one in _of_each_bus(bus, profile)]
+    if as_json:
+        found, wrong = ([row for one in seen for row in one[k]] for k in (0, 1))
+        say(json.dumps({"servos": found, "problems": wrong}, indent=1))
+    return FAILED if any(wrong for _, wrong in seen) else SUCCESS
+
+
+def _scan_bus(
+    name: str, bus: Bus, profile: "RobotProfile", ids: range | None, all_rates: bool, as_json: bool
+) -> tuple[list[dict[str, object]], list[dict[str, str]]]:
+    """Scan one bus and report its servos; return them and their problems for JSON."""
+    from sextant.services.actuator.commissioning import set_ids
+
     ids = set_ids.all_ids(profile.servo_model) if ids is None else ids
+    which_bus = {"bus": name} if name else {}
     with _line(bus, profile, all_rates) as line:
         unanswered = _triage(bus, profile, line.rates, ids)
         rates = " and ".join(map(str, line.rates))
         tell = complain if as_json else say
+        if name:
+            tell(f"bus {name}, {bus.port}:")
         if not unanswered:
             tell(f"scanning {len(ids)} ids at {rates} baud; unused ids take longer")
         found = [] if unanswered else set_ids.scan(line, ids)
     wrong = [unanswered] if unanswered else set_ids.verdict(found, profile, ids, each=as_json)
+    result = [which_bus | _row(one, profile) for one in found], [which_bus | problem._asdict() for problem in wrong]
     if as_json:
-        problems = [problem._asdict() for problem in wrong]
-        say(json.dumps({"servos": [_row(one, profile) for one in found], "problems": problems}, indent=1))
-        return FAILED if wrong else SUCCESS
+        return result
     if found:
         say(set_ids.in_words(found, profile))
     if holding := set_ids.holding(found, profile):
@@ -119,9 +134,9 @@ def scan(bus: Bus, ids: range | None, all_rates: bool, as_json: bool) -> int:
         say(f"  -> {advice}")
     if not wrong:
         count, asked = len(profile.servo_names), sum(i in ids for i in profile.servo_names)
-        which = f"all {count} servos of {profile.name}"
+        which = f"all {count} servos of {profile.name}" + (f" on bus {name}" if name else "")
         say(f"{which} are in order" if asked == count else f"{asked} of {which} were scanned and are in order")
-    return FAILED if wrong else SUCCESS
+    return result
 
 
 @servos.command("find")
@@ -254,8 +269,13 @@ def set_id(bus: Bus) -> int:
     profile = _profile(bus.robot)
     if profile.servo.pulses is not None:
         return pulse_servos.set_id()
-    with _line(bus, profile) as line:
-        return SUCCESS if set_ids.set_ids(line, profile, Terminal()) else FAILED
+    for name, one_bus, servos_on_it in _of_each_bus(bus, profile):
+        if name:
+            say(f"bus {name}, {one_bus.port}:")
+        with _line(one_bus, servos_on_it) as line:
+            if not set_ids.set_ids(line, servos_on_it, Terminal()):
+                return FAILED
+    return SUCCESS
 
 
 @servos.command("calibrate")
@@ -292,9 +312,9 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
 
     if profile.servo.pulses is not None:
         return pulse_servos.calibrate(bus.port, profile, Terminal(yes), keep, tuple(chosen), angles)
-    with _line(bus, profile) as line:
+    with _ended_once(), closing(_open_all(bus, profile)) as opened:
         done = calibration.calibrate(
-            line.at(line.rates[0]),
+            opened,
             profile,
             Terminal(yes),
             keep,
@@ -321,10 +341,8 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
             raise InputError("--torque off expected: hobby servos jump when torque is turned on, so it is off after the test")
         return pulse_servos.test(bus.port, profile, Terminal(yes), legs or LEGS)
     hold = torque == "on" if torque else (False if yes else None)
-    with _line(bus, profile) as line:
-        moved = run_joint_test(
-            line.at(line.rates[0]), profile, Terminal(yes), time.monotonic_ns, legs=legs or LEGS, hold_after=hold
-        )
+    with _ended_once(), closing(_open_all(bus, profile)) as opened:
+        moved = run_joint_test(opened, profile, Terminal(yes), time.monotonic_ns, legs=legs or LEGS, hold_after=hold)
     if moved is None:
         return FAILED
     wrong = [one.name for one in moved if one.problem]
@@ -342,7 +360,8 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
 @flag("--fresh", "factory-new servos, all with id 1, to be plugged in at this terminal")
 @options.count("--seed", 3, "random seed of the horn offsets", lowest=0)
 @option("--listen", "TCP port on 127.0.0.1 (default: any free port)", "PORT", type=options.PORT, default=0)
-def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
+@option("--bus", "name of the bus to emulate, of a robot with several", "NAME")
+def emulate(robot: str, fresh: bool, seed: int, listen: int, bus: str | None) -> int:
     """Emulate the servos of a robot, or a set of new servos, on a network port."""
     import numpy as np
 
@@ -358,14 +377,18 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int) -> int:
     if profile.servo.pulses is not None:
         bench, commands = PulseBench(profile), pulse_bench.HELP
     else:
-        bench, commands = BenchEmulator(profile, np.random.default_rng(seed), fresh=fresh), HELP
+        names = [one.name for one in profile.servos.buses]
+        if (bus or "") not in names:
+            raise InputError(f"--bus: one of {', '.join(names)} expected, found {bus or 'none'}" if profile.buses else _ONE_BUS)
+        rng = np.random.default_rng(seed)
+        bench, commands = BenchEmulator(profile, rng, fresh=fresh, bus=names.index(bus or "")), HELP
     try:
         server = TcpBusServer(bench, port=listen, rejects_others=True)
     except OSError as error:
         raise InputError(f"cannot listen on port {listen}: {error}; give another with --listen") from None
     with server:
         of_robot = "" if robot == "phantomx_mk2" else f" --robot {robot}"
-        command = f"sextant servos {'set-id' if fresh else 'scan'} --port {server.url}{of_robot}"
+        command = f"sextant servos {'set-id' if fresh else 'scan'} --port {f'{bus}=' if bus else ''}{server.url}{of_robot}"
         say(f"servos on {server.url}; in another terminal: {command}")
         say(f"{bench.execute('list')}; type {commands}")
         for line in sys.stdin:
@@ -400,6 +423,32 @@ def _ended_once() -> AbstractContextManager[object]:
     Outside the main thread it does nothing, because only that thread receives signals.
     """
     return _Once() if threading.current_thread() is threading.main_thread() else nullcontext()
+
+
+def _of_each_bus(bus: Bus, profile: "RobotProfile") -> "list[tuple[str, Bus, RobotProfile]]":
+    """Return name, port and servos of each bus that --port names; the only bus of a robot has no name."""
+    from sextant.shared.robot.one_bus import on_bus
+    from sextant.shared.servo.bus_ports import bus_ports, wrong_ports
+
+    if not profile.buses:
+        return [("", bus, profile)]
+    ports, names = bus_ports(bus.port), [part.name for part in profile.buses]
+    if not ports.keys() <= set(names):
+        raise InputError(f"--port: {wrong_ports(ports, names)}")
+    return [(name, replace(bus, port=ports[name][0]), on_bus(profile, name)) for name in names if name in ports]
+
+
+def _open_all(bus: Bus, profile: "RobotProfile") -> "AnyBus":
+    """Open all servos of a robot, on one bus or several; raises BusDisconnectedError."""
+    from sextant.services.actuator.servo_bus.several_buses import SeveralBuses
+    from sextant.shared.servo.bus_ports import bus_ports, wrong_ports
+
+    if not profile.buses:
+        return _open(bus, profile)
+    if words := wrong_ports(bus_ports(bus.port), [part.name for part in profile.buses]):
+        raise InputError(f"--port: {words}")
+    each = zip(profile.servos.buses, _of_each_bus(bus, profile), strict=True)
+    return SeveralBuses({part: _open(one_bus, on_it) for part, (_, one_bus, on_it) in each})
 
 
 @contextmanager
@@ -460,7 +509,7 @@ def _servos(bus: Bus, profile: "RobotProfile", bridge: bool) -> "Servos":
 
     if profile.servo.pulses is not None:
         return open_servos(bus.port, profile, time.monotonic_ns)
-    return _bridge(bus.port, profile) if bridge else _open(bus, profile)
+    return _bridge(bus.port, profile) if bridge else _open_all(bus, profile)
 
 
 def _bridge(port: str, profile: "RobotProfile") -> "Bridge":

@@ -346,9 +346,12 @@ def _see_servo_port(settings: Sequence[str]) -> None:
     """Raise an InputError if the servo port does not exist, before anything starts."""
     from sextant.services.actuator.config import Settings
     from sextant.shared.runtime.process import load_settings
+    from sextant.shared.servo.bus_ports import bus_ports
 
-    port = load_settings(Settings, None, settings).port
-    if "://" not in port and not Path(port).exists():
+    for names in bus_ports(load_settings(Settings, None, settings).port).values():
+        if any("://" in name or Path(name).exists() for name in names):
+            continue
+        port = " or ".join(names)
         raise InputError(
             f"no servo port {port}; plug in its adapter, name another with --set actuator.port=/dev/ttyUSB1, or simulate it "
             "with --scenario; `sextant doctor --port` checks a port"

@@ -101,7 +101,7 @@ def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
     """
     from sextant.services.actuator.config import Settings
     from sextant.services.actuator.service import Actuator
-    from sextant.services.actuator.servo_bus.servo_interface import PortFinder
+    from sextant.services.actuator.servo_bus.servo_interface import port_openers
     from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
     from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     from sextant.shared.robot.profiles import load_profile
@@ -113,7 +113,7 @@ def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
     profile = load_profile(robot)
     with TcpBusServer(BenchEmulator(profile, np.random.default_rng(0))) as server:
         settings = Settings(port=server.url)
-        with Actuator(profile, settings, PortFinder(settings).open, now_ns) as actuator:
+        with Actuator(profile, settings, port_openers(profile, settings), now_ns) as actuator:
             worker = ServiceRunner(actuator, lambda *_: None, now_ns)
             order = ModeCommand(now_ns(), "stand", now_ns(), holder="doctor")
             worker.inbox.receive(topics.MODE, codec.encode(order), now_ns())

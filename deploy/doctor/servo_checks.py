@@ -16,6 +16,7 @@ from sextant.deploy.doctor.check import Check, Level
 from sextant.services.actuator.commissioning.set_ids import hampered
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.files.config import ConfigError
+from sextant.shared.servo.bus_ports import all_ports, bus_ports, wrong_ports
 
 if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.bus_driver import Port
@@ -35,8 +36,9 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
     if port is None:
         yield none_given(dev)
         return
-    if wrong := out_of_reach(port):
-        yield wrong
+    away = [wrong for one in all_ports(port) if (wrong := out_of_reach(one))]
+    if away:
+        yield from away
         return
     try:
         import serial  # noqa: F401  (the driver that opens the port)
@@ -50,9 +52,22 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
     except ConfigError as error:
         yield Check(f"servo port {port}", Level.FAIL, str(error), "correct the profile, or give another with --robot")
         return
-    yield from servos(port, profile)
-    yield latency(port)
+    if profile.buses and (words := wrong_ports(bus_ports(port), [bus.name for bus in profile.buses])):
+        yield Check(f"servo port {port}", Level.FAIL, words, "name the port of each bus with --port")
+        return
+    for one_port, servos_on_it in of_each_bus(port, profile):
+        yield from servos(one_port, servos_on_it)
+        yield latency(one_port)
     yield calibration(profile, date.today())
+
+
+def of_each_bus(port: str, profile: "RobotProfile") -> "list[tuple[str, RobotProfile]]":
+    """Return port and servos of each bus of a robot."""
+    from sextant.shared.robot.one_bus import on_bus
+
+    if not profile.buses:
+        return [(port, profile)]
+    return [(bus_ports(port)[bus.name][0], on_bus(profile, bus.name)) for bus in profile.buses]
 
 
 def none_given(dev: Path) -> Check:

@@ -17,6 +17,7 @@ from sextant.evaluation.params import SystemParams
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.params import Params
 from sextant.shared.plugins.loading import Plugins
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.process import load_settings
 from sextant.shared.scenario.scenario import MapOptions, Scenario
 from sextant.shared.wire.transport import Endpoints
@@ -128,7 +129,13 @@ def _recorder(choices: Choices) -> dict[str, Value]:
 
 
 def _servo_port(choices: Choices) -> dict[str, Value]:
-    return {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
+    if not choices.scenario:
+        return {}
+    ports = [
+        f"{bus.name}=socket://127.0.0.1:{choices.bus_port + number}" if bus.name else f"socket://127.0.0.1:{choices.bus_port}"
+        for number, bus in enumerate(load_profile(choices.robot).servos.buses)
+    ]
+    return {"port": ", ".join(ports)}
 
 
 def _actuator(choices: Choices) -> dict[str, Value]:

@@ -8,7 +8,7 @@ import logging
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from sextant.evaluation import params
@@ -161,7 +161,7 @@ class LockstepRun:
 
         def make() -> Actuator:
             self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9, self._port)
-            return Actuator(profile, settings, socket.open, socket.now_ns, latch, authorization)
+            return Actuator(profile, settings, socket.openers, socket.now_ns, latch, authorization)
 
         return make
 
@@ -331,23 +331,30 @@ def _map_settings(scenario: Scenario, tuned: params.SystemParams) -> MapperSetti
 
 
 class _Socket:
-    """Opens the emulated bus for the actuator, also after a disconnection.
+    """Opens the emulated buses for the actuator, also after a disconnection.
 
     All of its ports share one clock.
     """
 
     def __init__(self, simulator: Simulator, clock: Callable[[], int], timeout: float, kind: type[MemoryPort]):
-        self._simulator, self._clock, self._timeout, self._kind = simulator, clock, timeout, kind
-        self._port: MemoryPort | None = None
+        self._clock, self._timeout, self._kind = clock, timeout, kind
+        self._devices = dict(zip(simulator.bus_names, (simulator.device, *simulator.buses[1:]), strict=True))
+        self._ports: dict[str, MemoryPort] = {}
         self.is_first = clock() == 0  # whether no port was opened before this one
 
-    def now_ns(self) -> int:
-        return self._clock() if self._port is None else self._port.now_ns()
+    @property
+    def openers(self) -> dict[str, Callable[[], MemoryPort]]:
+        """Open the port of each bus, by its name."""
+        return {name: partial(self._open, name) for name in self._devices}
 
-    def open(self) -> MemoryPort:
-        self.is_first &= self._port is None
-        self._port = self._kind(self._simulator.device, self._clock, self._timeout, start_ns=self.now_ns())
-        return self._port
+    def now_ns(self) -> int:
+        return max((self._clock(), *(port.last_ns for port in self._ports.values())))
+
+    def _open(self, name: str) -> MemoryPort:
+        self.is_first &= name not in self._ports
+        clock = self._clock if len(self._devices) == 1 else self.now_ns
+        self._ports[name] = self._kind(self._devices[name], clock, self._timeout, start_ns=self.now_ns())
+        return self._ports[name]
 
 
 def _outage(fault: Fault) -> Outage:

@@ -38,7 +38,9 @@ class ActuatorParams(Params):
 class Settings(ActuatorParams):
     """Settings of the actuator: its parameters, its port and its cycle; the defaults walk."""
 
-    port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port; several possible names separated by commas
+    # A serial device, or socket://host:port; several possible names separated by commas. With several buses, each has its name:
+    # left=/dev/ttyUSB0, right=/dev/ttyUSB1.
+    port: str = "/dev/ttyUSB0"
     bridge: bool = False  # a microcontroller on the port drives the servo bus, see docs/bridge.md
     echo: bool = False  # the adapter returns every byte sent, as some single-wire adapters do
     rate_hz: float = ranged(50.0, 20.0, 200.0)  # of the control cycle

@@ -22,8 +22,9 @@ from sextant.services.actuator.safety.plan_validation import reaches
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.torque_off_state import TorqueOffState
 from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
-from sextant.services.actuator.servo_bus.bus_driver import Port, ServoReading
+from sextant.services.actuator.servo_bus.bus_driver import ServoReading
 from sextant.services.actuator.servo_bus.joints import Joints
+from sextant.services.actuator.servo_bus.servo_interface import Opener, Openers
 from sextant.services.actuator.state_report import StateReport
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -54,7 +55,7 @@ class Actuator:
         self,
         profile: RobotProfile,
         settings: Settings,
-        opener: Callable[[], Port] | None,
+        opener: Opener | Openers | None,
         clock: Callable[[], int],
         latch: Latch | None = None,
         authorization: WalkAuthorization | None = None,
@@ -67,7 +68,8 @@ class Actuator:
         Args:
             profile: The robot.
             settings: Settings of this service.
-            opener: Opens the port instead of the one that the settings name; called again after the port was lost.
+            opener: Opens the port, or that of each bus by its name, instead of what the settings name; called again after
+                it was lost.
             clock: [ns] clock for the timing of the port.
             latch: Torque-off latch. Default: the latch of the port, unless `opener` is given.
             authorization: Walk authorization. Default: that of the port, unless `opener` is given.

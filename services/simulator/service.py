@@ -4,8 +4,8 @@ The hardware is a depth camera, an IMU and a servo bus. Only the scorer uses the
 """
 
 import logging
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from typing import Self
 
@@ -22,7 +22,7 @@ from sextant.services.simulator.sensors.robot_camera import RobotCamera
 from sextant.services.simulator.sensors.stamp_errors import StampErrors
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
-from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults, row_of
 from sextant.services.simulator.servo_bus.host_link import EmulatedBus
 from sextant.services.simulator.servo_bus.pulse_board import make_board
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank, ServoVariation
@@ -112,16 +112,18 @@ class Simulator:
         self._servos = self._switch_on(profile, scenario, seeds[5])
         self._bank = self._servos.all
         self._bank.set_joint_state(*self._joints())
-        self.bus = self._wired(scenario)
-        self.device: Board | BusFaults = self.bus  # device at the actuator's port
+        self.buses = self._wired(scenario)  # in the order of the robot's buses
+        self.bus = self.buses[0]
+        self.device: Board | BusFaults = self.bus  # device at the actuator's port, or at that of the first bus
         if settings.bridge:
             try:
                 self.device = Board(self.bus, model=self._bank.model)
             except ValueError as error:
                 raise ConfigError("the bridge's firmware", [str(error)]) from None
-        self._adapter_port = self.bus.adapter_port(0)
+        self._devices = (self.device, *self.buses[1:])
+        self._adapter_ports = [bus.adapter_port(0) for bus in self.buses]
         self._fault_refused = ""
-        self._server: TcpBusServer | None = None
+        self._servers: list[TcpBusServer] = []
         self._viewer: Viewer | None = None
         self._origin_ns: int | None = None  # [ns] tick time at which simulated time is 0
         self._due_ns = {topic.key: 0 for topic in self.publishes}
@@ -150,28 +152,40 @@ class Simulator:
                 servos.all.write(row, register.address, register.encode(value))
         return servos
 
-    def _wired(self, scenario: Scenario) -> BusFaults:
-        """Return the servo bus with the faults of the scenario."""
+    def _wired(self, scenario: Scenario) -> list[BusFaults]:
+        """Return the servo buses with the faults of the scenario."""
         try:
-            wired = self._bus()
-            bus = BusFaults(wired, self._bank, self._settings.seed, scenario.bus_faults)
+            buses = [BusFaults(self._wire(bank), bank, self._settings.seed) for bank in self._servos.on_bus]
+            for fault in scenario.bus_faults:
+                self._give(buses, fault, 0)
         except ValueError as error:
             raise ConfigError(f"scenario {scenario.name}", [str(error)]) from None
-        bus.origin_ns = None
-        return bus
+        for bus in buses:
+            bus.origin_ns = None
+        return buses
 
-    def _bus(self) -> EmulatedBus:
-        """Return the bus of the servos, or the board that sends them pulses."""
+    def _wire(self, bank: AnyBank) -> EmulatedBus:
+        """Return the bus of some servos, or the board that sends them pulses."""
         if self._profile.servo.pulses is not None:
-            assert isinstance(self._bank, ServoBank)
-            return make_board(self._bank, self._profile.servo.pulses)
-        return ServoBusEmulator(self._bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
+            assert isinstance(bank, ServoBank)
+            return make_board(bank, self._profile.servo.pulses)
+        return ServoBusEmulator(bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
+
+    def _give(self, buses: Sequence[BusFaults], fault: BusFault, now_ns: int) -> None:
+        """Inject a fault into the bus of its servo, or into all buses."""
+        row = row_of(fault, list(self._profile.servo_names), self._profile.servo_model.table)
+        for bus, of_bus in zip(buses, self._profile.servos.buses, strict=True):
+            if row < 0 or row in of_bus.rows:
+                bus.inject(fault, now_ns)
 
     def __enter__(self) -> Self:
         """Open the TCP ports of the servo bus, and the viewer if there is to be one, for a live run."""
         port, other = self._settings.bus_port, self._settings.other_bus_port
-        self._server = TcpBusServer(self.device, port=port, other_port=other, is_current=self._up_to_date)
-        log.info("servo bus on %s", self._server.url)
+        for number, device in enumerate(self._devices):
+            ports = [one and one + number for one in (port, other)]
+            server = TcpBusServer(device, port=ports[0], other_port=ports[1], is_current=self._up_to_date)
+            self._servers.append(server)
+            log.info("servo bus %son %s", f"{name} " if (name := self.bus_names[number]) else "", server.url)
         if self._settings.viewer:
             self._viewer = Viewer(self.world)
         return self
@@ -179,16 +193,21 @@ class Simulator:
     def __exit__(self, *_: object) -> None:
         if self._viewer is not None:
             self._viewer.close()
-        if self._server is not None:
-            self._server.close()
+        for server in self._servers:
+            server.close()
 
     def status(self) -> str:
         """Return scenario, simulated time, lag and faults as text."""
         late = f", {self._behind} times too slow for real time" if self._behind else ""
-        broken = self.bus.words(self._now_ns())
+        broken = "; ".join(dict.fromkeys(filter(None, (bus.words(self._now_ns()) for bus in self.buses))))
         faults = f", faults: {broken}" if broken else ""
         refused = f", fault refused: {self._fault_refused}" if self._fault_refused else ""
         return f"simulating {self._scenario.name}, {self.world.time_ns * 1e-9:.1f} s{late}{faults}{refused}"
+
+    @property
+    def bus_names(self) -> tuple[str, ...]:
+        """Names of the buses; that of the only one is empty."""
+        return tuple(bus.name for bus in self._profile.servos.buses)
 
     @property
     def servos(self) -> AnyBank:
@@ -207,7 +226,7 @@ class Simulator:
             ValueError: The fault names a servo that does not exist.
         """
         with self._locked():
-            self.bus.inject(fault, self._now_ns())
+            self._give(self.buses, fault, self._now_ns())
 
     def disturb(self, by: Fault | Mover) -> None:
         """Add a fault of the camera, or something that moves in its view, from its simulated time on.
@@ -228,16 +247,18 @@ class Simulator:
         if tick.stamp_ns - (self._origin_ns + self.world.time_ns) > _MAX_LAG_NS:
             self._behind += 1
             self._origin_ns = tick.stamp_ns - self.world.time_ns - 2 * TIME_STEP_NS
-        self.bus.origin_ns = self._origin_ns
+        for bus in self.buses:
+            bus.origin_ns = self._origin_ns
         while self._origin_ns + self.world.time_ns < tick.stamp_ns:
             with self._locked():
                 self._physics(self._origin_ns + self.world.time_ns)
             yield from self._observe(self._origin_ns + self.world.time_ns, inbox)
         if self._viewer is not None:
             self._viewer.show(self.world.time_ns)
-        if self._server is not None and self.bus.adapter_port(tick.stamp_ns) != self._adapter_port:
-            self._adapter_port = self.bus.adapter_port(tick.stamp_ns)
-            self._server.replug()
+        for k, server in enumerate(self._servers):
+            if (plugged := self.buses[k].adapter_port(tick.stamp_ns)) != self._adapter_ports[k]:
+                self._adapter_ports[k] = plugged
+                server.replug()
 
     def _break(self, command: FaultCommand) -> None:
         """Inject the fault of a command, or log why it is refused."""
@@ -260,11 +281,18 @@ class Simulator:
         return self._origin_ns is None or now_ns - self._origin_ns - self.world.time_ns < _STALE_NS
 
     def _locked(self) -> AbstractContextManager[object]:
-        return nullcontext() if self._server is None else self._server.lock
+        """Keep the threads of the bus servers out."""
+        if len(self._servers) <= 1:
+            return self._servers[0].lock if self._servers else nullcontext()
+        stack = ExitStack()
+        for server in self._servers:
+            stack.enter_context(server.lock)
+        return stack
 
     def _physics(self, now_ns: int) -> None:
         world = self.world
-        self.device.advance(now_ns)
+        for device in self._devices:
+            device.advance(now_ns)
         command = self._bank.advance(_DT)
         setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns - self._bank.slipped.reshape(6, 3))
         world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3))

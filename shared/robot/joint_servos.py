@@ -32,7 +32,7 @@ class ServoGroup(Servo):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusJoints:
-    """Joints whose servos are on one bus, with a port of its own."""
+    """Joints whose servos are on one bus, with a separate port."""
 
     name: str  # in the setting actuator.port, as in "left=/dev/ttyUSB0, right=/dev/ttyUSB1"
     joints: tuple[str, ...]  # sides, legs, joints or both, as "left", "left front", "tibia" or "left front tibia"

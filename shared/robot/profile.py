@@ -402,6 +402,11 @@ class RobotProfile:
         """Map of bus id -> name such as "left front coxa", ordered by leg."""
         return {servo: f"{leg.name} {joint}" for leg in self.legs for servo, joint in zip(leg.servo_ids, JOINTS, strict=True)}
 
+    @property
+    def servos_elsewhere(self) -> dict[int, str]:
+        """Map of bus id -> name of servos that are not on the bus in question; empty for a whole robot."""
+        return {}
+
     @cached_property
     def trims(self) -> Array:
         """Deviations (6, 3) [rad] of the horns from `horn_offsets_deg`.

@@ -26,7 +26,7 @@ def _of_servo(means: str, *takes: str) -> Cell:
     return Cell(means, ("servo", *takes), needs_servo=True)
 
 
-_PACKETS, _WINDOWS = ("share", "servo"), ("on_ms", "off_ms")
+_PACKETS, _WINDOWS, _OF_BUS = ("share", "servo"), ("on_ms", "off_ms"), "servo"
 GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
     {
         ("bytes", "silent"): Cell("a share of the bytes is lost, both ways", ("share",)),
@@ -64,13 +64,17 @@ GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
         ("servo", "bit"): _of_servo("one bit of its goal register is stuck at 0, or at 1 if `value` is not 0", "bit", "value"),
         ("servo", "sign"): _of_servo("its load register has the wrong sign"),
         ("servo", "weak"): _of_servo("its motor has only a share of its torque; its load register does not show that", "share"),
-        ("bus", "silent"): Cell("the adapter has no power: no bytes pass in either direction; servos hold their goals"),
-        ("bus", "stuck"): Cell("the line is stuck: one byte repeats endlessly, servos receive nothing", ("value",)),
-        ("bus", "garbage"): Cell("random bytes arrive endlessly, servos receive nothing"),
-        ("bus", "wrong"): Cell("every answer is that of the previous request"),
-        ("bus", "slow"): Cell("every answer arrives late, as from a USB adapter with its default latency timer", ("delay_ms",)),
-        ("bus", "intermittent"): Cell("silent for a while, again and again", _WINDOWS),
-        ("bus", "gone"): Cell("the port disappears, and returns, optionally under another name", ("renamed",)),
+        ("bus", "silent"): Cell(
+            "the adapter has no power: no bytes pass in either direction; servos hold their goals", (_OF_BUS,)
+        ),
+        ("bus", "stuck"): Cell("the line is stuck: one byte repeats endlessly, servos receive nothing", (_OF_BUS, "value")),
+        ("bus", "garbage"): Cell("random bytes arrive endlessly, servos receive nothing", (_OF_BUS,)),
+        ("bus", "wrong"): Cell("every answer is that of the previous request", (_OF_BUS,)),
+        ("bus", "slow"): Cell(
+            "every answer arrives late, as from a USB adapter with its default latency timer", (_OF_BUS, "delay_ms")
+        ),
+        ("bus", "intermittent"): Cell("silent for a while, again and again", (_OF_BUS, *_WINDOWS)),
+        ("bus", "gone"): Cell("the port disappears, and returns, optionally under another name", (_OF_BUS, "renamed")),
         ("supply", "sag"): Cell("the voltage is lower", ("volts",)),
         ("supply", "drain"): Cell("the battery drains steadily from the beginning to the end"),
     }
@@ -123,7 +127,7 @@ class BusFault:
     kind: FaultKind  # how it fails
     at_s: float  # [s] simulated start time; a past time means at once
     for_s: float = 2.0  # [s] duration
-    servo: int = -1  # bus id; with packets, -1 for all servos
+    servo: int = -1  # bus id; with packets, -1 for all servos; with bus, that of a servo on it, -1 for all buses
     share: float = 0.01  # [1] of the affected bytes or responses; of the torque of a weak servo
     value: int = 0  # of a byte, or of a bit
     part: BrokenPart = "value"  # part of the response that is wrong

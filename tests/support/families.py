@@ -11,7 +11,7 @@ from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.geometry import Array
-from sextant.shared.robot.joint_servos import ServoGroup
+from sextant.shared.robot.joint_servos import BusJoints, ServoGroup
 from sextant.shared.robot.profile import JOINTS, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.robot.servo import Servo
@@ -50,6 +50,16 @@ def mixed_robot(*models: str) -> RobotProfile:
         for joint, robot in zip(JOINTS, robots, strict=True)
     ]
     return replace(base, name="mixed", servo_groups=tuple(groups[1:]))
+
+
+def two_bus_robot() -> RobotProfile:
+    """Return a robot with XM430 and XL430 servos on its left bus, and STS3215 servos on its right one."""
+    base = mixed_robot("XM430-W350", "XM430-W350", "XL430-W250")
+    right = robot_with("STS3215").servo
+    tibias = replace(base.servo_groups[1], joints=("left front tibia", "left middle tibia", "left rear tibia"))
+    sts = ServoGroup(joints=("right",), **{one.name: getattr(right, one.name) for one in fields(Servo)})
+    buses = (BusJoints(name="left", joints=("left",)), BusJoints(name="right", joints=("right",)))
+    return replace(base, name="two_buses", servo_groups=(tibias, sts), buses=buses)
 
 
 class Bench:

@@ -11,7 +11,7 @@ import numpy as np
 from sextant.services.actuator.commissioning.limited_motion import hold, limited_motion, ready, resting, torque_words
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
-from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
 
@@ -21,7 +21,7 @@ _AGAIN, _CHECK, _SKIP, _LEAVE = "b", "h", "s", "q"
 
 
 def calibrate(
-    bus: ServoBus,
+    bus: AnyBus,
     profile: RobotProfile,
     operator: Operator,
     keep: Callable[[Calibration], None],
@@ -95,7 +95,7 @@ def see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None
 
 
 def _measure_leg(
-    bus: ServoBus, profile: RobotProfile, operator: Operator, leg: int, pose_deg: Sequence[float]
+    bus: AnyBus, profile: RobotProfile, operator: Operator, leg: int, pose_deg: Sequence[float]
 ) -> tuple[float, float, float] | str:
     """Return the accepted trims [deg], or the choice to skip the leg or to stop."""
     ids = profile.servo_ids[leg].tolist()
@@ -127,7 +127,7 @@ def _measure_leg(
             return answer
 
 
-def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
+def _content(bus: AnyBus, operator: Operator, ids: Sequence[int]) -> str:
     """Return the operator's choice; hold the leg gently while it is checked."""
     torque = torque_words(bus.model_of(ids[0]))
     question = f"Enter keeps the trims, b bends the leg again, h holds it with {torque} for a check, s skips the leg, q stops: "

@@ -9,8 +9,8 @@ import numpy as np
 from sextant.services.actuator.commissioning.limited_motion import TORQUE_SHARE, get, hold, limited_motion, put, ready, silent
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
-from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, health_problem, retry, scan_servo
+from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.servo.servo_model import Block, Feedback, signed
 
@@ -43,7 +43,7 @@ class Moved:
 
 
 def run_joint_test(
-    bus: ServoBus,
+    bus: AnyBus,
     profile: RobotProfile,
     operator: Operator,
     clock: Callable[[], int],
@@ -87,7 +87,7 @@ def run_joint_test(
     return moved
 
 
-def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: int, joint: int) -> Moved:
+def move(bus: AnyBus, profile: RobotProfile, clock: Callable[[], int], leg: int, joint: int) -> Moved:
     """Move one joint without torque by the test step and back.
 
     Its torque is off again afterwards.
@@ -120,7 +120,7 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
     )
 
 
-def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tuple[int, float]:
+def _go(bus: AnyBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tuple[int, float]:
     """Move a servo to a goal; return its final position register and maximum load."""
     model = bus.model_of(servo_id)
     table, units = model.table, model.units
@@ -171,7 +171,7 @@ def _words(profile: RobotProfile, leg: int, joint: int, up: int) -> str:
     return "forward" if ahead > 0 else "backward"
 
 
-def _leave(bus: ServoBus, operator: Operator, hold_after: bool | None) -> None:
+def _leave(bus: AnyBus, operator: Operator, hold_after: bool | None) -> None:
     """Set the torque as the operator wants it, and report it."""
     if hold_after is None:
         hold_after = operator.agree("Turn torque on, with the legs at their present positions? With no, torque stays off.")

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from sextant.services.actuator.commissioning.set_ids import Operator
-from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import ServoScan, call, health_problem, named, problems, retry
 from sextant.services.actuator.servo_bus.servo_interface import Servos
+from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -33,7 +33,7 @@ class ServoNotRespondingError(SextantError, RuntimeError):
     exit_status = 1
 
 
-def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
+def ready(bus: AnyBus, profile: RobotProfile, operator: Operator) -> bool:
     """Return whether all servos are present, healthy and without torque.
 
     Report problems to the operator.
@@ -51,7 +51,7 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     return _released([one for one in seen.values() if one[one.expected.table.torque_enable]], bus, operator)
 
 
-def _released(holding: Sequence[ServoScan], bus: ServoBus, operator: Operator) -> bool:
+def _released(holding: Sequence[ServoScan], bus: AnyBus, operator: Operator) -> bool:
     """Return whether no servo has torque; turn it off only if the operator agrees."""
     if not holding:
         return True
@@ -70,7 +70,7 @@ def torque_words(model: ServoModel) -> str:
 
 
 @contextmanager
-def limited_motion(bus: ServoBus, servo_ids: Sequence[int], *, others: bool = True) -> Iterator[None]:
+def limited_motion(bus: AnyBus, servo_ids: Sequence[int], *, others: bool = True) -> Iterator[None]:
     """Limit torque and speed of servos, as far as their model can; turn torque off and restore at the end.
 
     The servos must be without torque.
@@ -101,7 +101,7 @@ def limited_motion(bus: ServoBus, servo_ids: Sequence[int], *, others: bool = Tr
             raise
 
 
-def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int], others: bool) -> None:
+def _restore(bus: AnyBus, registers: Mapping[tuple[int, Register], int], others: bool) -> None:
     """Turn torque off, with `others` by a broadcast to all servos, and restore registers."""
     if others:
         bus.set_torque(False)
@@ -110,7 +110,7 @@ def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int], other
         raise silent(bus, left[0], _NOT_RESTORED)
 
 
-def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
+def hold(bus: AnyBus, servo_ids: Sequence[int]) -> None:
     """Turn torque on at the present positions.
 
     Goals are sent first, because not every firmware holds its position.
@@ -122,7 +122,7 @@ def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
         put(bus, i, model.table.torque_enable, 1)
 
 
-def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
+def resting(bus: AnyBus, servo_ids: Sequence[int]) -> Array | None:
     """Return angles (n,) [rad] of servos at rest, None while one moves."""
     models = [bus.model_of(i) for i in servo_ids]
     asked = [(i, model) for i, model in zip(servo_ids, models, strict=True)]
@@ -132,7 +132,7 @@ def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
     return np.array([model.units.angle(t) for model, t in zip(models, np.median(ticks, axis=0), strict=True)])
 
 
-def get(bus: ServoBus, servo_id: int, register: Register) -> int:
+def get(bus: AnyBus, servo_id: int, register: Register) -> int:
     """Return the value of a register; raise ServoNotRespondingError without an answer."""
     value = retry(lambda: bus.read(servo_id, register))
     if value is None:
@@ -140,7 +140,7 @@ def get(bus: ServoBus, servo_id: int, register: Register) -> int:
     return value
 
 
-def put(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+def put(bus: AnyBus, servo_id: int, register: Register, value: int) -> None:
     """Write a register until it is acknowledged; else raise ServoNotRespondingError."""
     if not took(bus, servo_id, register, value):
         raise silent(bus, servo_id, f"its {register.name} was being set to {value}")
@@ -151,7 +151,7 @@ def took(bus: Servos, servo_id: int, register: Register, value: int) -> bool:
     return retry(lambda: bus.write(servo_id, register, value) or None) is not None
 
 
-def silent(bus: ServoBus, servo_id: int, when: str) -> ServoNotRespondingError:
+def silent(bus: AnyBus, servo_id: int, when: str) -> ServoNotRespondingError:
     """Return the error for a servo that stopped answering."""
     name = named(servo_id, bus.names)
     return ServoNotRespondingError(

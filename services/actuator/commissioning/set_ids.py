@@ -172,6 +172,9 @@ def verdict(
     names = {i: name for i, name in profile.servo_names.items() if asked is None or i in asked}
     heard = {seen.servo_id: seen for rate, seen in found if rate == seen.expected.bus_rate}
     wrong = problems(names, heard)
+    for i in profile.servos_elsewhere.keys() & heard.keys():
+        words = f"servo {i} ({profile.servos_elsewhere[i]}) is on this bus"
+        wrong[i] = Problem(words, "connect it to the adapter of its own bus, or change [[buses]] of the profile")
     missing, unanswered = [i for i in names if i not in heard], []
     if not each and len(missing) == len(names) > 1:
         missing, unanswered = [], [Problem(f"none of {len(names)} servos answers", _NO_ANSWER_ADVICE)]
@@ -197,7 +200,7 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
 
     This is advice: the actuator works with them.
     """
-    reach, found, servos = _reach(profile), [], dict(zip(profile.servo_names, profile.servos.each, strict=True))
+    reach, found, servos = _reach(profile), [], dict(zip(profile.servo_ids.ravel().tolist(), profile.servos.each, strict=True))
     for one in seen:
         model = one.expected
         if one.response is BusResponse.CLEAR and one.number == model.number and not one.is_wheel:
@@ -216,7 +219,9 @@ def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
     """Return lowest and highest position register for each servo's joint, by id."""
     ends = np.sort([profile.servo_angles(profile.joint_limits[..., end]) for end in (0, 1)], axis=0)
     found = {}
-    for (i, model), low, high in zip(profile.servo_models.items(), *map(np.ravel, ends), strict=True):
+    for i, model, low, high in zip(
+        profile.servo_ids.ravel().tolist(), profile.servos.models, *map(np.ravel, ends), strict=True
+    ):
         most = model.units.max_position
         found[i] = (min(max(model.units.ticks(low), 0), most), min(max(model.units.ticks(high), 0), most))
     return found

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 
 from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError, took
 from sextant.services.actuator.commissioning.set_ids import Operator
-from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import named
 from sextant.services.actuator.servo_bus.servo_interface import Servos
+from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
@@ -50,7 +50,7 @@ def _of_other_model(bus: Servos, servo_id: int) -> ServoModel | None:
 
 
 @contextmanager
-def torque_off_if_interrupted(bus: ServoBus, operator: Operator) -> Iterator[None]:
+def torque_off_if_interrupted(bus: AnyBus, operator: Operator) -> Iterator[None]:
     """Turn all torque off if the operator interrupts or a servo falls silent."""
     try:
         yield

@@ -11,6 +11,8 @@ from errno import ENOENT
 from pathlib import Path
 from secrets import token_hex
 
+from sextant.shared.servo.bus_ports import all_ports
+
 # Folders that all processes of one robot share, for any user and any way of starting: that of an installation
 # (systemd units, containers), and one that exists on every machine.
 SHARED = Path("/run/sextant")
@@ -35,12 +37,12 @@ class Latch:
     def of_port(cls, port: str) -> "Latch":
         """Return the latch of the robot behind a servo port.
 
-        The port may have several names, separated by commas.
+        The port may have several names, separated by commas; a robot with several buses has the names of each.
 
         It lasts until the machine is switched off.
         """
         latch = cls()
-        latch._names = [one.strip() for one in port.split(",")]
+        latch._names = all_ports(port)
         latch._look_for_names()
         return latch
 

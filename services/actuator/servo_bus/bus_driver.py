@@ -98,6 +98,7 @@ class ServoBus:
         *,
         model: ServoModel = AX_12A,
         models: Mapping[int, ServoModel] | None = None,
+        rows: Sequence[int] | None = None,
         names: Mapping[int, str] | None = None,
         echo: bool = False,
         reply_timeout_ns: int = REPLY_TIMEOUT_NS,
@@ -111,6 +112,7 @@ class ServoBus:
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The type of the servos, which `setup` verifies.
             models: The types of servos by id, where they differ from `model`; they have the same registers.
+            rows: Indices of the servos in their readings, by default those in the list.
             names: Leg and joint of each id, for messages.
             echo: The adapter returns every byte sent; exactly those are dropped.
             reply_timeout_ns: [ns] timeout of an answer.
@@ -132,6 +134,7 @@ class ServoBus:
         self.model, self._lock, self._models = model, lock, models or {}
         of_servos = [self.model_of(i) for i in servo_ids]
         self._unit = [one.units for one in of_servos]  # of each servo
+        self._rows = tuple(range(n)) if rows is None else tuple(rows)
         self._protocol, self._table = model.protocol, model.table
         self._line = SerialLine(port, clock, model, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
@@ -539,7 +542,7 @@ class ServoBus:
 
     def _reading_of(self, index: int, state: State, error: ServoError) -> ServoReading:
         """Return the reading of an accepted state."""
-        return reading(index, self.servo_ids[index], self._told_ns, state, error, self._unit[index])
+        return reading(self._rows[index], self.servo_ids[index], self._told_ns, state, error, self._unit[index])
 
     def _read_alert(self, end_ns: int) -> None:
         """Read the hardware errors of one servo that alerts, that whose errors were read longest ago.

@@ -11,10 +11,10 @@ from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWER
 from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
 from sextant.services.actuator.servo_bus import shutdown
 from sextant.services.actuator.servo_bus.assumed_motion import WORDS, AssumedMotion
-from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, Port, ServoReading
+from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, ServoReading
 from sextant.services.actuator.servo_bus.catching_up import CatchingUp
 from sextant.services.actuator.servo_bus.joint_units import JointUnits
-from sextant.services.actuator.servo_bus.servo_interface import PortFinder, Servos, connect
+from sextant.services.actuator.servo_bus.servo_interface import Opener, Openers, Servos, connect, port_openers
 from sextant.services.actuator.servo_bus.torque_loss_check import TorqueLossCheck
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -38,7 +38,7 @@ class Joints:
         self,
         profile: RobotProfile,
         settings: Settings,
-        opener: Callable[[], Port] | None,
+        opener: Opener | Openers | None,
         clock: Callable[[], int],
         latched: Callable[[], bool] = lambda: False,
     ):
@@ -47,7 +47,8 @@ class Joints:
         Args:
             profile: The robot.
             settings: Settings of the actuator.
-            opener: Opens the port; None opens the one that the settings name. It raises OSError if there is no port.
+            opener: Opens the port, or that of each bus by its name; None opens what the settings name. It raises OSError if
+                there is no port.
             clock: [ns] monotonic clock for the timing of the port.
             latched: Returns whether torque must be off. It is polled before each request of the start.
 
@@ -59,7 +60,8 @@ class Joints:
         self._profile, self._settings, self._clock = profile, settings, clock
         self._models, self._units = profile.servos.models, JointUnits(profile)
         self._measures_load = Feedback.LOAD in profile.servo_model.feedback
-        self._opener = opener or PortFinder(settings, profile.servo_model.bus_rate).open
+        found = port_openers(profile, settings) if opener is None else opener
+        self._openers: Openers = {"": found} if callable(found) else found
         self._stall_torque = profile.servos.stall_torque.ravel().tolist()  # [N m]
         self._reboots = np.array([model.recovery is Recovery.REBOOT for model in self._models])
         self.offsets = np.zeros((6, 3))  # [rad] by which links are ahead of their encoders, besides the profile's trims
@@ -291,7 +293,7 @@ class Joints:
     # ------------------------------------------------------------------------------------------------- the bus itself
 
     def _open(self) -> Servos:
-        bus = connect(self._profile, self._settings, self._opener(), self._clock)
+        bus = connect(self._profile, self._settings, self._openers, self._clock, lambda: self._off_ordered)
         bus.between = self._check_latch
         return bus
 

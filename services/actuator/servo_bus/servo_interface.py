@@ -1,7 +1,8 @@
 """Interface to the servos: on a bus, behind a microcontroller bridge, or behind a board that sends pulses."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
 from typing import Protocol
 
 import numpy as np
@@ -22,8 +23,13 @@ from sextant.services.actuator.servo_bus.bus_driver import (
 from sextant.services.actuator.servo_bus.command_bus import CommandBus
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
 from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
+from sextant.services.actuator.servo_bus.several_buses import SeveralBuses
+from sextant.shared.robot.joint_servos import BusRows
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.servo.bus_ports import bus_ports, wrong_ports
 from sextant.shared.servo.servo_model import Register, ServoModel
+
+_ONE_BEHIND_BRIDGE = "one servo model and one bus behind a bridge expected, found several in the profile {}"
 
 
 class Servos(Protocol):
@@ -33,8 +39,12 @@ class Servos(Protocol):
     """
 
     servo_ids: tuple[int, ...]
-    errors: NDArray[np.uint8]  # (n,) error bits of the last status packets
     between: Callable[[], None]  # called before each request outside the loop
+
+    @property
+    def errors(self) -> NDArray[np.uint8]:
+        """(n,) error bits of the last status packets."""
+        ...
 
     @property
     def lost(self) -> Counter[str]:
@@ -112,12 +122,12 @@ def read_timeout_ns(settings: Settings) -> int:
 
 
 class PortFinder:
-    """Finds the servo port by any of its names or its adapter's USB identity."""
+    """Finds a servo port by any of its names or its adapter's USB identity."""
 
-    def __init__(self, settings: Settings, rate: int = BAUD_RATE):
-        """Store the port names of the settings, which are separated by commas, and the baud rate [1/s]."""
+    def __init__(self, settings: Settings, rate: int = BAUD_RATE, bus: str = ""):
+        """Store the names that the settings give the port of a bus, and the baud rate [1/s]."""
         self._rate = rate
-        self._names = [name.strip() for name in settings.port.split(",")]
+        self._names = bus_ports(settings.port).get(bus, [])
         self._timeout_ns = read_timeout_ns(settings)
         self._adapter: tuple[int, int, str] | None = None
 
@@ -139,27 +149,107 @@ class PortFinder:
         raise BusDisconnectedError("; ".join(found))
 
 
-def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
-    """Return the robot's servos on an open port."""
-    model, names, lock = profile.servo_model, profile.servo_names, all(one.lock_eeprom for one in profile.servos.each)
+Opener = Callable[[], Port]
+Openers = Mapping[str, Opener]  # by the name of the bus, empty for the only one
+
+
+def port_openers(profile: RobotProfile, settings: Settings) -> Openers:
+    """Return what opens the port of each bus of a robot, by the setting `port`.
+
+    Raises:
+        BusSetupError: The setting does not name a port for each bus, or names others.
+    """
+    ports, buses = bus_ports(settings.port), profile.servos.buses
+    if wrong := wrong_ports(ports, [bus.name for bus in buses]):
+        raise BusSetupError(f"actuator.port: {wrong}")
+    rates = {bus.name: profile.servos.models[bus.rows[0]].bus_rate for bus in buses}
+    return {bus.name: PortFinder(settings, rates[bus.name], bus.name).open for bus in buses}
+
+
+def connect(
+    profile: RobotProfile,
+    settings: Settings,
+    openers: Openers,
+    clock: Callable[[], int],
+    off: Callable[[], bool] = lambda: False,
+) -> Servos:
+    """Open the ports of a robot, and return its servos.
+
+    Args:
+        profile: The robot.
+        settings: Settings of the actuator.
+        openers: Open the port of each bus.
+        clock: Monotonic time [ns].
+        off: Returns whether torque must be off: it is then turned off on the buses that are there if another one is not.
+
+    Raises:
+        BusDisconnectedError: A port cannot be opened.
+    """
+    if not profile.buses:
+        return on_port(profile, settings, openers[""](), clock)
+    if settings.bridge:
+        raise BusSetupError(_ONE_BEHIND_BRIDGE.format(profile.name))
+    parts: dict[BusRows, ServoBus] = {}
+    lost: list[str] = []
+    for bus in profile.servos.buses:
+        try:
+            port = openers[bus.name]()
+        except OSError as error:
+            lost.append(f"bus {bus.name}: {error}")
+        else:
+            parts[bus] = of_bus(profile, bus, port, clock, echo=settings.echo)
+    if lost:
+        for part in parts.values():
+            with closing(part), suppress(BusDisconnectedError):
+                if off():
+                    part.set_torque(False)
+        raise BusDisconnectedError("; ".join(lost))
+    return SeveralBuses(parts)
+
+
+def of_bus(
+    profile: RobotProfile,
+    bus: BusRows,
+    port: Port,
+    clock: Callable[[], int],
+    *,
+    echo: bool = False,
+    reply_timeout_ns: int = REPLY_TIMEOUT_NS,
+) -> ServoBus:
+    """Return the servos on one bus of a robot, on its open port."""
+    all_ids, servos = list(profile.servo_names), profile.servos
+    ids = [all_ids[row] for row in bus.rows]
+    return ServoBus(
+        port,
+        ids,
+        clock,
+        model=servos.models[bus.rows[0]],
+        models=profile.servo_models,
+        rows=bus.rows,
+        names={i: profile.servo_names[i] for i in ids},
+        echo=echo,
+        reply_timeout_ns=reply_timeout_ns,
+        lock=all(servos.each[row].lock_eeprom for row in bus.rows),
+    )
+
+
+def on_port(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
+    """Return the servos of a robot with one bus on its open port."""
+    model, names = profile.servo_model, profile.servo_names
     if profile.servo.pulses is not None:
         if settings.bridge:
             raise BusSetupError(f"the hobby servos of {profile.name} have no bridge; turn the setting `bridge` off")
         return PwmServos(port, list(names), clock, profile.servo.pulses)
     if settings.bridge:
-        if profile.servo_groups or profile.buses:
-            raise BusSetupError(
-                f"one servo model and one bus behind a bridge expected, found several in the profile {profile.name}"
-            )
+        if profile.servo_groups:
+            raise BusSetupError(_ONE_BEHIND_BRIDGE.format(profile.name))
         if model.commands is not None:
             raise BusSetupError(
                 f"a bridge to servos with registers expected, found {model.name} in the profile {profile.name}; "
                 "connect these servos to an adapter, and turn the setting `bridge` off"
             )
-        return Bridge(port, list(names), clock, model=model, names=names, lock=lock)
+        return Bridge(port, list(names), clock, model=model, names=names, lock=profile.servo.lock_eeprom)
     if model.commands is not None:
         stiffness = profile.servo.stiffness / profile.servo.stall_torque
         return CommandBus(port, list(names), clock, model=model, names=names, echo=settings.echo, stiffness=stiffness)
-    return ServoBus(
-        port, list(names), clock, model=model, models=profile.servo_models, names=names, echo=settings.echo, lock=lock
-    )
+    return of_bus(profile, profile.servos.buses[0], port, clock, echo=settings.echo)

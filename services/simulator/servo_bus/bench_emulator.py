@@ -40,6 +40,7 @@ class BenchEmulator(ServoBusEmulator):
         fresh: bool = False,
         rate: int | None = None,
         echo: bool = False,
+        bus: int = 0,
     ):
         """Create the servos.
 
@@ -49,23 +50,24 @@ class BenchEmulator(ServoBusEmulator):
             fresh: True for servos with factory settings, none plugged in; False for a configured robot with torque off.
             rate: Baud rate of the host [bit/s], see `set_baud_rate`; None, as of a network port, reaches all servos.
             echo: Whether the adapter echoes all sent bytes.
+            bus: Index of the bus, of a robot with several.
         """
         trims = rng.uniform(-HORNS_DEG, HORNS_DEG, (len(LEGS), 3)).round(1)
         entries = [Calibration(leg, date.min, (c, f, t)) for leg, (c, f, t) in zip(LEGS, trims.tolist(), strict=True)]
         self.robot = replace(profile, calibration=tuple(entries))  # with the true mounting errors
-        ids = list(profile.servo_names)
-        q = rng.uniform(-1.0, 1.0, len(ids)) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
-        exact = ServoVariation(np.ones(len(ids)), np.ones(len(ids)), np.zeros(len(ids)))
-        self._servos = make_robot_servos(profile, q, Supply().capacity_ah, 1.0, exact).all
-        table = self._servos.table
-        for row, model in enumerate(profile.servos.models):
+        n, rows = profile.servo_ids.size, list(profile.servos.buses[bus].rows)
+        q = rng.uniform(-1.0, 1.0, n) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
+        exact = ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
+        self._servos = make_robot_servos(profile, q, Supply().capacity_ah, 1.0, exact).on_bus[bus]
+        table, self._damping = self._servos.table, profile.servos.damping.ravel()[rows]
+        for row, model in enumerate(map(self._servos.model_of, range(len(rows)))):
             set_up = {**model.joint_settings, table.baud_rate: model.rate_code(model.bus_rate)}
             for register, value in ({table.id: table.id.default} if fresh else set_up).items():
                 self._servos.write(row, register.address, register.encode(value))
-        self._plugged = set() if fresh else set(range(len(ids)))
+        self._plugged = set() if fresh else set(range(len(rows)))
         self._rate = rate
         self._now_ns = -1  # [ns] bus time up to which the joints have moved
-        self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
+        self._q, self._qd, self._torque = q[rows], np.zeros(len(rows)), np.zeros(len(rows))
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiles the code before the first packet ...
         self._servos.read(0, table.state.address, table.state.size)  # ... whose response must be in time
         super().__init__(self._servos, BusTiming(self._servos.model.bus_rate), echo=echo)
@@ -154,5 +156,5 @@ class BenchEmulator(ServoBusEmulator):
             command = self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)
             spring_torque = command.stiffness * (command.setpoint - self._q)
             self._torque = np.clip(spring_torque, -command.torque_limit, command.torque_limit)
-            self._qd = self._torque / self.robot.servos.damping.ravel()
+            self._qd = self._torque / self._damping
             self._q = self._q + self._qd * (_STEP_NS * 1e-9)

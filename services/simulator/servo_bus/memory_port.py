@@ -47,6 +47,11 @@ class MemoryPort:
         return max(self._clock(), self._last_ns)
 
     @property
+    def last_ns(self) -> int:
+        """Time [ns] of the last transfer."""
+        return self._last_ns
+
+    @property
     def in_waiting(self) -> int:
         """Number of bytes that a read returns without waiting."""
         self._collect(self._check_open())

@@ -7,7 +7,7 @@ from sextant.services.actuator.commissioning.set_ids import Line, hampered, scan
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
 from sextant.services.actuator.servo_bus.joints import Joints
-from sextant.services.actuator.servo_bus.servo_interface import connect
+from sextant.services.actuator.servo_bus.servo_interface import on_port
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoVariation
@@ -74,7 +74,7 @@ def test_goals_reach_servos_of_each_model() -> None:
 
 def test_all_mixed_servos_are_in_order_in_a_scan() -> None:
     rig = Rig()
-    line = Line(lambda _rate: connect(PROFILE, Settings(), rig.port, rig.port.now_ns))  # type: ignore[arg-type,return-value]
+    line = Line(lambda _rate: on_port(PROFILE, Settings(), rig.port, rig.port.now_ns))  # type: ignore[arg-type,return-value]
     found = scan(line, PROFILE.servo_names)
     assert {one.seen.model for one in found} == {"XM430-W350", "XC430-W240", "XL430-W250"}
     assert not verdict(found, PROFILE)
@@ -86,7 +86,7 @@ def test_servo_of_another_joints_model_is_named() -> None:
     table = PROFILE.servo_model.table
     rig.bank._places[1][0].column(table.model_number)[0] = PROFILE.servo_model.number  # an XM430 at the left front femur
     with pytest.raises(BusSetupError, match=r"servo 2 \(left front femur\) is model 1020 \(XM430-W350\), expected 1080"):
-        connect(PROFILE, Settings(), rig.port, rig.port.now_ns).setup()
+        on_port(PROFILE, Settings(), rig.port, rig.port.now_ns).setup()
 
 
 def test_banks_share_their_supply() -> None:
