@@ -1,7 +1,7 @@
 """Fuzz targets of the boards that send pulses: what a board receives, and its answers to the driver."""
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from random import Random
 
@@ -108,7 +108,8 @@ class _Port:
 def _taker(servo: Servo, pulses: Pulses) -> Callable[[bytes], bool]:
     """Return a function that gives bytes to an emulated board, and to the driver as answers; it returns whether that starts.
 
-    The driver sends only pulses within the range of the servos, for any answer.
+    For any answer, the driver sends only pulses within the range of the servos, and none to servos that had none before torque
+    was ordered on.
     """
     bank = make_servo_bank(replace(servo, pulses=pulses), list(_CHANNELS), np.zeros(len(_CHANNELS)))
     start = bank.tables.copy()
@@ -125,28 +126,37 @@ def _taker(servo: Servo, pulses: Pulses) -> Callable[[bytes], bool]:
             driver.setup()
         except BusSetupError:
             return False
+        had_pulses = {channel for channel, has in zip(_CHANNELS, driver._enabled.tolist(), strict=True) if has}
         for _ in range(_CYCLES):
             driver.poll(_BUDGET_NS)
             driver.sync_write_goals(np.full(len(_CHANNELS), driver.model.units.centre), 100)
             port.now_ns += _CYCLE_NS
+        if woken := {channel for channel, width_us in _pulses(bytes(port.sent), pulses) if width_us} - had_pulses:
+            raise AssertionError(f"pulses on the channels {had_pulses} only expected, found some on {woken}")
         driver.set_torque(True)
-        _see_pulses(bytes(port.sent), pulses)
+        most_us = pulses.range_us + 5.0  # with the rounding of a PCA9685
+        widths = [width_us for _, width_us in _pulses(bytes(port.sent), pulses) if width_us]
+        if any(abs(width_us - pulses.centre_us) > most_us for width_us in widths):
+            raise AssertionError(f"pulses of {pulses.centre_us:g} +- {pulses.range_us:g} us expected, found {widths}")
         return True
 
     return take
 
 
-def _see_pulses(sent: bytes, pulses: Pulses) -> None:
-    """Raise AssertionError if the driver has sent pulses out of the range of the servos."""
+def _pulses(sent: bytes, pulses: Pulses) -> Iterator[tuple[int, float]]:
+    """Yield channel and pulse width [us] of all orders of the driver, 0 for no pulses."""
     if pulses.board == "maestro":
-        packets = maestro.CommandParser().feed(sent)
-        rows = (p.data[2:] for p in packets if p.command is maestro.Command.SET_MULTIPLE_TARGETS)
-        widths = [maestro.value(row[k], row[k + 1]) / 4.0 for row in rows for k in range(0, len(row), 2)]
-    else:
-        hertz = pulses.oscillator_mhz * 1e6
-        count_us = pca9685.count_us(pca9685.pre_scale(pulses.rate_hz, hertz), hertz)
-        writes = (t.data for t in pca9685.FrameParser().feed(sent) if not t.size and t.data[0] in range(pca9685.LED0, 0x46))
-        widths = [pca9685.pulse_count(data[k : k + 4]) * count_us for data in writes for k in range(1, len(data), 4)]
-    most_us = pulses.range_us + 5.0  # with the rounding of a PCA9685
-    if any(width and abs(width - pulses.centre_us) > most_us for width in widths):
-        raise AssertionError(f"pulses of {pulses.centre_us:g} +- {pulses.range_us:g} us expected, found {widths}")
+        for packet in maestro.CommandParser().feed(sent):
+            if packet.command is maestro.Command.SET_MULTIPLE_TARGETS:
+                _, first, *row = packet.data
+                yield from ((first + k, maestro.value(*row[2 * k : 2 * k + 2]) / 4.0) for k in range(len(row) // 2))
+        return
+    hertz = pulses.oscillator_mhz * 1e6
+    count_us = pca9685.count_us(pca9685.pre_scale(pulses.rate_hz, hertz), hertz)
+    last = pca9685.LED0 + 4 * pca9685.CHANNELS
+    for address, data, size in pca9685.FrameParser().feed(sent):
+        if not size and pca9685.LED0 <= data[0] < last:
+            first = (address - pca9685.ADDRESS) * pca9685.CHANNELS + (data[0] - pca9685.LED0) // 4
+            yield from (
+                (first + k, pca9685.pulse_count(data[1 + 4 * k : 5 + 4 * k]) * count_us) for k in range((len(data) - 1) // 4)
+            )
