@@ -37,7 +37,9 @@ program has `sun`, `legs` and `sparse`, and robots that differ from their profil
 """
 _PICTURE = "Each picture shows the example below it with seed 1000; the robot stands at the origin."
 _PARTS = {
-    "scenarios_ground": Part("Terrain: ground", _PICTURE, ("plane", "hole", "slope", "height_map", "puddle", "puddles")),
+    "scenarios_ground": Part(
+        "Terrain: ground", _PICTURE, ("plane", "hole", "slope", "relief", "height_map", "puddle", "puddles")
+    ),
     "scenarios_blocks": Part(
         "Terrain: blocks, stairs, pillars", _PICTURE, ("box", "stairs", "pillars", "pillar_field", "rubble")
     ),

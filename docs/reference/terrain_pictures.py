@@ -86,6 +86,11 @@ EXAMPLES = {
         "scale = 0.0001\nbase = -0.1",
         "",
     ),
+    "relief": Example(
+        '[[terrain]]\nkind = "relief"\nx = [-0.5, 1.6]\ny = [-0.6, 0.6]\nshape = "sine"\namplitude = 0.03\nwavelength = 0.4\n'
+        "begin = 0.25",
+        "",
+    ),
     "puddle": Example('[[terrain]]\nkind = "puddle"\nxy = [0.7, 0.1]\nsize = [0.5, 0.4]'),
     "puddles": Example('[[terrain]]\nkind = "puddles"\nx = [0.3, 1.4]\ny = [-0.5, 0.5]\ncount = 5\nsize = [0.12, 0.3]'),
     "course": Example(

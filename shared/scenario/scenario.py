@@ -20,6 +20,7 @@ from sextant.shared.files import config
 from sextant.shared.plugins.loading import Plugins
 from sextant.shared.scenario.mismatch import Deviation, Mismatch
 from sextant.shared.scenario.mover import Mover
+from sextant.shared.scenario.relief import Relief
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.spelling import hint
 from sextant.shared.wire import topics
@@ -493,7 +494,7 @@ class Course:
             raise ValueError('at least one stretch expected, found none; add [[terrain.stretches]] with kind = "level"')
 
 
-Terrain = Plane | Box | Hole | Stairs | Pillars | PillarField | Slope | Rubble | HeightMap | Puddle | Puddles | Course
+Terrain = Plane | Box | Hole | Stairs | Pillars | PillarField | Slope | Rubble | HeightMap | Relief | Puddle | Puddles | Course
 
 
 def _expect(holds: bool, expected: str, found: object) -> None:

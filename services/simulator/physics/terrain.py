@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.simulator.physics.height_map import read_height_map
+from sextant.services.simulator.physics.relief import build_relief
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, rotation_from_rpy, rotation_z
+from sextant.shared.scenario.relief import Relief
 from sextant.shared.scenario.scenario import (
     MAX_BLOCKS,
     Blocks,
@@ -223,6 +225,8 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
                     _rubble(heap, part, rng)
                 case HeightMap():
                     fields.append((read_height_map(part, Path(scenario.folder)), part.color))
+                case Relief():
+                    fields.append((build_relief(part, rng), part.color))
                 case Puddle():
                     puddles.append(part)
                 case Puddles():
@@ -230,7 +234,7 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
                 case Course():
                     raise AssertionError("every course has been replaced by its pieces")
     with _named("terrain"):
-        for name, count in (("plane", len(planes)), ("height_map", len(fields))):
+        for name, count in (("plane", len(planes)), ("height_map or relief", len(fields))):
             if count > 1:
                 raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
         if puddles and not planes:
