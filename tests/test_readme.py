@@ -56,6 +56,7 @@ RUN_BY = {
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_report_success_rate_and_blind_baseline",
     "trials --cluster": "tests/unit/evaluation/trials/test_cluster.py::test_trials_command_runs_on_a_cluster",
     "trials all --cluster": "tests/unit/evaluation/trials/test_cluster.py::test_campaign_on_a_cluster_survives_a_killed_worker",
+    "trials --curve": "tests/unit/evaluation/trials/test_curve.py::test_curve_command_writes_curve_and_pictures",
     "trials all --blind": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_passage_and_thesis_tables",
@@ -216,6 +217,7 @@ def test_referenced_test_exists(test: str) -> None:
 
 
 def test_readme_scenarios_are_packaged() -> None:
+    from sextant.shared.scenario.family import load_family
     from sextant.shared.scenario.scenario import load_scenario
 
     for words in README + GUIDES:
@@ -225,7 +227,8 @@ def test_readme_scenarios_are_packaged() -> None:
             "troubles",
             "table",
         ):
-            assert load_scenario(words[2]).name == words[2]
+            named = load_family(words[2]) if "--curve" in words else load_scenario(words[2])
+            assert named.name == words[2]
 
 
 def rows(text: str) -> list[str]:

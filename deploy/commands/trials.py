@@ -61,6 +61,49 @@ class Place:
             yield cluster
 
 
+@dataclass(frozen=True, slots=True)
+class Difficulty:
+    """Whether trials find a difficulty curve, and at which values of the family's parameter."""
+
+    curve: bool
+    at: str
+
+    def check(self) -> None:
+        """Check that values are given only with a curve.
+
+        Raises:
+            InputError: They are not, or they are no values.
+        """
+        if self.at and not self.curve:
+            raise InputError("--at: values for --curve expected, found none; add --curve")
+        self.values()
+
+    def values(self) -> tuple[float, ...]:
+        """Return the values, none for those of the family.
+
+        Raises:
+            InputError: They are not numbers that rise or fall.
+        """
+        from sextant.shared.scenario.family import check_values
+
+        if not self.at:
+            return ()
+        try:
+            found = tuple(float(word) for word in self.at.split(","))
+            check_values(found)
+        except ValueError:
+            raise InputError(f"--at: rising or falling numbers A,B,... expected, found {self.at[:60]!r}") from None
+        return found
+
+
+curve = options_of(
+    Difficulty,
+    "curve",
+    flag("--curve", "find success over difficulty: SCENARIO is a family with one parameter, see docs/trials.md"),
+    option(
+        "--at", "values of the parameter of --curve, from easy to impossible (default: the family's)", "A,B,...", default=""
+    ),
+)
 place = options_of(
     Place,
     "place",
@@ -89,13 +132,17 @@ place = options_of(
     required=True,
 )
 @flag("--blind", "also run the baseline without a map, and compare")
+@curve
 @place
-def trials(scenario: str, variant: options.Variant, seeds: Sequence[int], blind: bool, place: Place) -> int:
+def trials(scenario: str, variant: options.Variant, seeds: Sequence[int], blind: bool, curve: Difficulty, place: Place) -> int:
     """Run a scenario in lockstep with many seeds: success rate with 95 % interval.
 
     `sextant trials table` prints tables of stored trials without running anything; see `sextant trials table --help`.
     """
     place.check()
+    curve.check()
+    if curve.curve:
+        return _curve(scenario, variant, seeds, blind, curve.values(), place)
     if scenario in _GROUPS:
         return _campaign(scenario, variant, seeds, blind, place)
     course = variant.load(scenario)
@@ -125,6 +172,32 @@ def _kept(folder: Path, name: str) -> str:
     if not count:
         return f"no walk had ended, so {folder} has no result; run the command again"
     return f"{count} walks are kept in {path}; the same command with --out {folder} goes on with the seeds that are left"
+
+
+def _curve(
+    name: str, variant: options.Variant, seeds: Sequence[int], blind: bool, values: Sequence[float], place: Place
+) -> int:
+    """Find the difficulty curve of a family, and draw it."""
+    from sextant.evaluation.trials import curve as curves
+    from sextant.evaluation.trials.curve_picture import draw_curves
+    from sextant.shared.scenario.family import load_family
+
+    family = load_family(name)
+    folder = out_folder(place.out, f"curve-{family.name}")
+    hear, found = open_progress(place.as_json).say, []
+    say_if_it_compiles(open_progress(place.as_json))
+    with explained_interrupts(lambda: _kept(folder, "campaign.jsonl")), place.workers(hear) as cluster:
+        for without in (False, True)[: 1 + blind]:
+            hear("the same without a map" if without else f"{family.name}: {family.family.about}")
+            found.append(
+                curves.run_curve(family, seeds, place.jobs, folder, values, without, variant.applied(), hear, cluster=cluster)
+            )
+    say(curves.to_json(found).rstrip("\n") if place.as_json else "\n\n".join(map(curves.words, found)))
+    curves.write(found, folder)
+    draw_curves(found, folder / "curve")
+    if not place.as_json:
+        say(f"written to {folder}: curve.json, curve.png, curve.svg, campaign.jsonl, and a folder per value")
+    return SUCCESS
 
 
 def _campaign(group: str, variant: options.Variant, seeds: Sequence[int], blind: bool, place: Place) -> int:

@@ -122,7 +122,7 @@ def open_cluster(address: str, say: Callable[[str], None]) -> Iterator[Cluster]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the log of Dask while entered; what it says of workers is said by the dispatch."""
+    """Silence the log of Dask while entered, because the dispatch reports lost workers."""
     log = logging.getLogger("distributed")
     before = log.level
     log.setLevel(logging.CRITICAL)

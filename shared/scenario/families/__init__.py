@@ -1,0 +1,1 @@
+"""Bundled families of terrain, each with one parameter from easy to impossible."""

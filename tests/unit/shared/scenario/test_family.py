@@ -1,0 +1,95 @@
+"""Families of scenarios."""
+
+import itertools
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sextant.services.simulator.physics.terrain import build_terrain
+from sextant.shared.files.config import ConfigError
+from sextant.shared.scenario.family import check_values, family_names, load_family
+
+ROOT = Path(__file__).parents[4]
+OWN = """about = "a step"
+parameter = "height"
+values = [0.02, 0.05]
+[[depends]]
+key = "terrain.1.top"
+offset = 0.01
+[scenario.goal]
+distance = 1.0
+[[scenario.terrain]]
+kind = "plane"
+[[scenario.terrain]]
+kind = "box"
+xy = [2.0, 0.0]
+size = [1.0, 1.0]
+top = 0.1
+"""
+
+
+@pytest.mark.parametrize("name", family_names())
+def test_family_has_ground_at_every_value_for_every_seed(name):
+    found = load_family(name)
+    names = set()
+    for value in found.family.values:
+        scenario = found.at(value)
+        names.add(scenario.name)
+        for seed in range(1000, 1003):
+            build_terrain(scenario, np.random.default_rng([seed, 0]))
+    assert len(names) == len(found.family.values)
+
+
+@pytest.mark.parametrize("name", sorted(set(family_names()) - {"speed", "mismatch"}))
+def test_ground_changes_with_the_parameter_and_leaves_the_start_level(name):
+    found = load_family(name)
+    grounds = [build_terrain(found.at(value), np.random.default_rng([1000, 0])) for value in found.family.values]
+    around = np.stack(np.meshgrid(np.linspace(-0.25, 0.25, 11), np.linspace(-0.25, 0.25, 11)), -1).reshape(-1, 2)
+    heights = [ground.raster(0.5, -0.5, 150, 50, 0.02) for ground in grounds]
+    assert all(not np.array_equal(a, b) for a, b in itertools.pairwise(heights))
+    assert all(np.ptp(ground.height_at(around)) == 0.0 for ground in grounds)
+
+
+def test_families_are_listed_in_the_documentation():
+    text = (ROOT / "docs/trials.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE) == family_names()
+
+
+def test_values_of_the_parameter_are_put_into_the_scenario(tmp_path):
+    path = tmp_path / "step.toml"
+    path.write_text(OWN)
+    found = load_family(str(path))
+    scenario = found.at(0.05)
+    assert (scenario.name, scenario.terrain[1].top, scenario.folder) == ("step 0.05", pytest.approx(0.06), str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("terrain.1.top", "terrain.2.top", "terrain.2.top: the place of a value in the scenario expected, found none"),
+        ("terrain.1.top", "terrain.1.tip", "terrain.1.tip: the place of a value in the scenario expected, found none"),
+        ("values = [0.02, 0.05]", "values = [0.02, 0.05, 0.03]", "rising or falling values expected"),
+        ("values = [0.02, 0.05]", "values = [0.02]", "2 to 100 rising or falling values expected"),
+        ("about", "obout", "obout: unknown key"),
+        ("size = [1.0, 1.0]", "size = [1.0]", "family step at 0.02"),
+    ],
+)
+def test_invalid_family_is_refused(tmp_path, old, new, words):
+    path = tmp_path / "step.toml"
+    path.write_text(OWN.replace(old, new))
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        load_family(str(path))
+
+
+def test_unknown_family_is_refused_with_the_nearest_name():
+    with pytest.raises(ConfigError, match="no family of scenarios 'risr'; did you mean 'riser'"):
+        load_family("risr")
+
+
+def test_falling_values_are_accepted():
+    check_values((0.12, 0.10, 0.03))
+    family = load_family("riser").family
+    assert replace(family, values=(0.1, 0.05)).values == (0.1, 0.05)
