@@ -2,8 +2,8 @@
 
 1. The tests of an expansion, on stances sampled from searches: compiled code compared with NumPy.
 2. Whole crossings of the thesis' three scenarios and of random pillars. The roadmap search, with its full budget for unsolved
-   cases, is compared with OMPL's planner for the body alone.
-3. Every plan is validated by the checker.
+   cases, is compared with Masri's planner as published, and with OMPL's planner for the body alone.
+3. Every plan of the first two is validated by the checker.
 """
 
 import json
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers.passage_checker import violations
+from benchmarks.peers.passage_masri import Crossing, MasriPlanner
 from benchmarks.peers.passage_ompl import BodyPlanner
 from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, heights, random_blocks, thesis_blocks
@@ -22,14 +23,14 @@ from sextant.evaluation.scoring.passage_truth import stance_at
 from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
-from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap import NoSection, PassageStep, Roadmap, SectionPlan, Stance
 from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 
-OURS = "Sextant"
+OURS, MASRI = "Sextant", "Masri 2016"
 CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")
 HEADINGS = {"per_s": ("per second", 1.0, 0)}
 HEIGHT = 0.105  # [m] of the body
@@ -46,19 +47,21 @@ _OFF = 0.01  # [m] random displacement of pillars with each seed
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Results on one kind of ground."""
+    """Results of one planner on one kind of ground."""
 
     case: str
+    planner: str
     plans: int  # attempts
     solved: int  # plans that reach the goal
     checked: int  # plans validated by the checker; some do not reach the goal
     ms_median: float  # core time; unsolved cases use their full budget
     ms_p99: float
-    generated: float  # n_g, median
-    expanded: float  # n_e, median
+    generated: float  # n_g of a search, median; Masri's planner makes three for a crossing
+    expanded: float  # n_e of a search, median
     steps: float  # median of all crossings
     edge_m: float  # median distance of footholds in the gap to the nearest edge of their surface
-    margin_m: float  # minimum stability margin of all steps
+    margin_m: float  # minimum support margin of all steps
+    outside: int  # crossings in which the centre of mass leaves its standing feet
     violations: int  # plans with a violation
 
 
@@ -78,24 +81,27 @@ def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[st
     roadmap, stance = Roadmap(profile, settings), stance_at(profile, START, HEIGHT)
     peers, missing = installed({"OMPL (body only)": BodyPlanner}, profile)
     _compile(roadmap, stance)
+    planners: dict[str, Callable[[StripMap, Stance, float], object]] = {
+        OURS: _planned_by(roadmap),
+        MASRI: MasriPlanner(profile).plan,
+        **{name: peer.plan for name, peer in peers.items()},
+    }
+    planners[MASRI](ground(CASES[0], 0), stance, START + _OFF)  # compile it
     expansion = Race("expansion", f"{settings.body_moves}x{settings.footholds} samples", warm=1)
     timings, sections, wrong = [], [], []
     with one_core():
         for case in CASES:
             race = Race("crossing", case)
-            race.start({OURS: _planned_by(roadmap), **{name: peer.plan for name, peer in peers.items()}})
-            plans: list[tuple[StripMap, SectionPlan]] = []  # plans that can be walked; some do not reach the goal
-            counts: list[tuple[int, int]] = []
+            race.start(planners)
+            tried: dict[str, list[_Tried]] = {OURS: [], MASRI: []}
             for seed in seeds:
                 field = ground(case, seed)
-                found = race.run(field, stance, NEAR + GAP + BEYOND)[OURS]
-                counts.append((found.generated, found.expanded))
-                if isinstance(found, SectionPlan):
-                    plans.append((field, found))
+                found = race.run(field, stance, NEAR + GAP + BEYOND)
+                for name, results in tried.items():
+                    results.append(_tried(profile, field, stance, found[name]))
                 _race_expansions(expansion, roadmap, profile, settings, field, seed)
-            found_wrong = [violations(profile, field, stance, plan.steps) for field, plan in plans]
-            wrong += [f"{case}: {words}" for each in found_wrong for words in each]
-            sections.append(_section(case, race.ms(OURS), counts, plans, sum(bool(each) for each in found_wrong)))
+            wrong += [f"{case}: {words}" for one in tried[OURS] for words in one.wrong]
+            sections += [_section(case, name, race.ms(name), results) for name, results in tried.items()]
             timings += race.timings({})
             say(f"passage: {case} done")
     rates = {name: {"per_s": 1e3 * _STANCES / float(np.median(expansion.ms(name)))} for name in (OURS, "NumPy")}
@@ -123,13 +129,15 @@ def in_words(measured: Measured) -> str:
         ("steps", 7),
         ("edge cm", 9),
         ("margin cm", 11),
+        ("outside", 9),
     )
-    lines = [f"{'crossing':<16}" + "".join(f"{name:>{width}}" for name, width in columns) + f"{'checked':>9}{'wrong':>7}"]
+    head = "".join(f"{name:>{width}}" for name, width in columns)
+    lines = [f"{'crossing':<16}{'planner':<12}{head}{'checked':>9}{'wrong':>7}"]
     for s in measured.sections:
         solved = f"{s.solved}/{s.plans}"
         lines.append(
-            f"{s.case:<16}{solved:>10}{s.ms_median:>11.1f}{s.ms_p99:>8.0f}{s.generated:>8.0f}{s.expanded:>8.0f}{s.steps:>7.0f}"
-            f"{s.edge_m * 100:>9.1f}{s.margin_m * 100:>11.1f}{s.checked:>9}{s.violations:>7}"
+            f"{s.case:<16}{s.planner:<12}{solved:>10}{s.ms_median:>11.1f}{s.ms_p99:>8.0f}{s.generated:>8.0f}{s.expanded:>8.0f}{s.steps:>7.0f}"
+            f"{s.edge_m * 100:>9.1f}{s.margin_m * 100:>11.1f}{s.outside:>9}{s.checked:>9}{s.violations:>7}"
         )
     return "\n".join(lines + [f"wrong: {words}" for words in measured.wrong])
 
@@ -193,33 +201,57 @@ def _expansions(
     return feet, leg, body, bodies, goals
 
 
-def _section(
-    case: str, ms: Array, counts: Sequence[tuple[int, int]], plans: Sequence[tuple[StripMap, SectionPlan]], wrong: int
-) -> Section:
-    crossings = [(field, plan) for field, plan in plans if plan.complete]
-    edges = [edge for field, crossing in crossings for edge in _edges(field, crossing)]
-    generated, expanded = np.median(np.array(counts), axis=0).tolist()
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    """Result of a planner on one strip."""
+
+    field: StripMap
+    steps: tuple[PassageStep, ...]  # empty without a plan
+    complete: bool  # whether they reach the goal
+    counts: tuple[tuple[int, int], ...]  # n_g and n_e of each search
+    wrong: list[str]  # violations
+
+
+def _tried(profile: RobotProfile, field: StripMap, stance: Stance, found: object) -> _Tried:
+    if isinstance(found, Crossing):
+        counts = tuple(zip(found.generated, found.expanded, strict=True))
+        complete, steps = found.complete, found.steps if found.complete else ()
+    elif isinstance(found, SectionPlan | NoSection):
+        counts = ((found.generated, found.expanded),)
+        complete, steps = (found.complete, found.steps) if isinstance(found, SectionPlan) else (False, ())
+    else:
+        raise TypeError(f"a result of a planner expected, found {type(found).__name__}")
+    return _Tried(field, steps, complete, counts, violations(profile, field, stance, steps))
+
+
+def _section(case: str, planner: str, ms: Array, tried: Sequence[_Tried]) -> Section:
+    crossings = [one for one in tried if one.complete]
+    edges = [edge for one in crossings for edge in _edges(one.field, one.steps)]
+    least = [min(step.margin for step in one.steps) for one in crossings]
+    generated, expanded = np.median([count for one in tried for count in one.counts], axis=0).tolist()
     return Section(
         case=case,
+        planner=planner,
         plans=len(ms),
         solved=len(crossings),
-        checked=len(plans),
+        checked=sum(bool(one.steps) for one in tried),
         ms_median=float(np.median(ms)),
         ms_p99=float(np.percentile(ms, 99)),
         generated=generated,
         expanded=expanded,
-        steps=float(np.median([len(crossing.steps) for _, crossing in crossings])) if crossings else np.nan,
+        steps=float(np.median([len(one.steps) for one in crossings])) if crossings else np.nan,
         edge_m=float(np.median(edges)) if edges else np.nan,
-        margin_m=min((step.margin for _, crossing in crossings for step in crossing.steps), default=np.nan),
-        violations=wrong,
+        margin_m=min(least, default=np.nan),
+        outside=sum(margin < 0.0 for margin in least),
+        violations=sum(bool(one.wrong) for one in tried),
     )
 
 
-def _edges(field: StripMap, crossing: SectionPlan) -> Iterator[float]:
+def _edges(field: StripMap, steps: Sequence[PassageStep]) -> Iterator[float]:
     """Yield distances [m] of footholds in the gap to the nearest lower cell."""
     i, j = np.nonzero(field.elevation < -0.1)
     low = np.column_stack([i, j]) * field.resolution + field.first_cell
-    for step in crossing.steps:
+    for step in steps:
         if step.leg >= 0 and NEAR < step.touchdown[0] < NEAR + GAP:
             off = np.maximum(np.abs(low - step.touchdown[:2]) - field.resolution / 2, 0.0)
             yield float(np.linalg.norm(off, axis=1).min())

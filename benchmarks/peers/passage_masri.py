@@ -1,0 +1,329 @@
+"""Masri's motion planner as published (2016, chapter 5), to compare with on the same strips.
+
+It makes his tests only: reach, no foot under the body, front and rear feet outside of the body's ends, feet 6 cm apart, and
+ground that carries a foot. It tests neither support nor loads nor collisions of legs. The thesis gives two numbers: the 6 cm,
+and 2 cm under a swinging foot. The others are assumed, and were chosen on seeds 1000 to 1007. With them the search solves most
+strips, and makes as many nodes as in his Table 6.1. Eq. (5.5) is taken as its text means it: progress lowers the weight.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.planner.roadmap.roadmap import PassageStep, Stance
+from sextant.services.planner.roadmap.strip_map import StripMap
+from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
+from sextant.shared.runtime.compiled import compiled
+
+SECTIONS = 3  # plans for one crossing, as in his experiments
+_ORDER = np.array([3, 2, 1, 4, 5, 0])  # of the pentapod gait: from rear to front on each side
+_MOVES, _FOOTHOLDS = 8, 8  # m and n
+_CYCLES = 14  # l
+_BODY_STEP = (0.0, 0.035)  # [m] d_bmin and d_bmax
+_BODY_ANGLE = math.radians(45.0)  # alpha
+_FOOT_STEP = (0.0, 0.25)  # [m] d_lmin and d_lmax
+_FOOT_ANGLE = math.radians(35.0)  # beta
+_DRIFT = 0.12  # [m] Delta y
+_STRONG, _WEAKEST = -2, -1  # [cells] of F: a sample is used unchanged, and a local minimum carries a foot
+_APART = 0.06  # [m] between two feet
+_BOUND = 5.0  # [cells] of F at -1
+_DEPTH_FIRST = 10.0  # more than two weights differ: (5.6) chooses among the candidates of the current leg
+_LIFT = 0.02  # [m] of a swinging foot over the ground
+_LEAST_CLEARANCE = 0.03  # [m] over the higher end of a swing
+_NODES, _BUDGET = 100_000, 24_000  # configurations and expansions of one search
+_TRIES = 3  # searches for one section, with other samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """Result of planning a whole crossing, section by section."""
+
+    steps: tuple[PassageStep, ...]  # of all sections; those that were found if it is not complete
+    complete: bool  # whether the last one ends at the goal
+    generated: tuple[int, ...]  # n_g of each section
+    expanded: tuple[int, ...]  # n_e of each section
+
+
+class MasriPlanner:
+    """Plans a crossing in three sections of equal length."""
+
+    def __init__(self, profile: RobotProfile) -> None:
+        """Prepare for a robot, and compile."""
+        self._profile = profile
+        self._links = profile.links.coxa, profile.links.femur, profile.links.tibia
+        self._parent, self._leg = np.zeros(_NODES, dtype=np.int64), np.zeros(_NODES, dtype=np.int64)
+        self._depth, self._heap = np.zeros(_NODES, dtype=np.int64), np.zeros(_NODES, dtype=np.int64)
+        self._body, self._feet, self._weight = np.zeros((_NODES, 3)), np.zeros((_NODES, 6, 3)), np.zeros(_NODES)
+
+    def plan(self, field: StripMap, stance: Stance, goal_x: float, seed: int = 1) -> Crossing:
+        """Plan from a stance to a body at x = `goal_x` [m] {strip}."""
+        steps: list[PassageStep] = []
+        generated, expanded = [], []
+        span = (goal_x - float(stance.body[0])) / SECTIONS
+        for section in range(SECTIONS):
+            goal = goal_x if section == SECTIONS - 1 else float(stance.body[0]) + span
+            counts, last = np.zeros(2, dtype=np.int64), -1
+            for attempt in range(_TRIES):
+                last = self._search(field, stance, goal, counts, _TRIES * (SECTIONS * seed + section) + attempt)
+                if last >= 0:
+                    break
+            generated.append(int(counts[0]))
+            expanded.append(int(counts[1]))
+            if last < 0:
+                return Crossing(tuple(steps), False, tuple(generated), tuple(expanded))
+            steps += self._steps_to(field, last)
+            stance = Stance(self._body[last].copy(), self._feet[last].copy())
+        return Crossing(tuple(steps), True, tuple(generated), tuple(expanded))
+
+    def _search(self, field: StripMap, stance: Stance, goal_x: float, counts: NDArray[np.int64], seed: int) -> int:
+        """Return the index of the configuration at the goal, -1 without one."""
+        profile = self._profile
+        length, width, _ = profile.body.size
+        sides = np.sign(profile.T_body_coxa[:, 0, 3]) * (np.abs(profile.T_body_coxa[:, 0, 3]) > length / 4)
+        self._body[0], self._feet[0] = stance.body, stance.feet
+        return int(
+            search(
+                field.elevation,
+                field.evaluation,
+                (*field.first_cell, field.resolution, profile.foot.radius, goal_x, length / 2, width / 2),
+                _ORDER,
+                sides,
+                profile.T_coxa_body,
+                self._links,
+                profile.joint_limits,
+                (self._parent, self._leg, self._depth, self._heap),
+                (self._body, self._feet, self._weight),
+                counts,
+                seed,
+            )
+        )
+
+    def _steps_to(self, field: StripMap, node: int) -> list[PassageStep]:
+        """Return the steps from the root to a configuration."""
+        way = []
+        while node > 0:
+            way.append(node)
+            node = int(self._parent[node])
+        return [self._step(field, node) for node in reversed(way)]
+
+    def _step(self, field: StripMap, node: int) -> PassageStep:
+        before, leg = int(self._parent[node]), int(self._leg[node])
+        foot, touchdown, body = self._feet[before, leg], self._feet[node, leg], self._body[node]
+        standing = np.delete(self._feet[before], leg, axis=0)[:, :2]
+        centre = resting_centre_of_mass(self._profile)[:2]
+        margin = min(support_margin(standing, place[:2] + centre) for place in (self._body[before], body))
+        return PassageStep(leg, touchdown.copy(), self._clearance(field, foot, touchdown), body.copy(), margin)
+
+    def _clearance(self, field: StripMap, foot: Array, touchdown: Array) -> float:
+        """Return the height [m] over both ends that keeps a swinging foot 2 cm above the ground (section 5.4.1)."""
+        way = foot[:2] + np.linspace(0.0, 1.0, 20)[:, None] * (touchdown - foot)[:2]
+        i, j = np.rint((way - field.first_cell) / field.resolution).astype(int).T
+        inside = (i >= 0) & (j >= 0) & (i < field.top.shape[0]) & (j < field.top.shape[1])
+        highest = float(field.top[i[inside], j[inside]].max(initial=-np.inf))
+        over = highest + _LIFT + self._profile.foot.radius - max(float(foot[2]), float(touchdown[2]))
+        return min(max(over, _LEAST_CLEARANCE), self._profile.stance.max_lift)
+
+
+@compiled
+def search(
+    elevation: NDArray[np.float32],
+    evaluation: NDArray[np.int8],
+    ground: tuple[float, ...],
+    order: NDArray[np.int64],
+    sides: Array,
+    T_coxa_body: Array,
+    links: tuple[float, float, float],
+    limits: Array,
+    links_of_tree: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    tree: tuple[Array, Array, Array],
+    counts: NDArray[np.int64],
+    seed: int,
+) -> int:
+    """Grow a tree of configurations from node 0; return the node at the goal, or -1.
+
+    The candidate of the current leg with the lowest weight is expanded. If none is left, the search goes back by one step.
+
+    Args:
+        elevation: (nx, ny) [m] {strip}.
+        evaluation: (nx, ny) [cells] F.
+        ground: [m] x and y of the first cell, cell edge, radius of a foot, x of the goal, half length and width of the body.
+        order: (6,) legs in the order of the gait.
+        sides: (6,) 1 for front, -1 for rear, 0 for middle legs.
+        T_coxa_body: (6, 4, 4).
+        links: [m] coxa, femur, tibia.
+        limits: (6, 3, 2) [rad].
+        links_of_tree: (n,) parent, leg, depth, and a heap of open nodes.
+        tree: (n, 3) [m] {strip} bodies, (n, 6, 3) [m] {strip} feet, and (n,) weights.
+        counts: (2,) generated and expanded nodes, to which those of this search are added.
+        seed: Of the samples.
+    """
+    parent, leg_of, depth, heap = links_of_tree
+    body, feet, weight = tree
+    x0, y0, cell, radius, goal_x, half_length, half_width = ground
+    np.random.seed(seed)  # noqa: NPY002 - compiled code has its own generator
+    start_x, start_y = body[0, 0], body[0, 1]
+    parent[0], depth[0], weight[0] = -1, 0, 0.0
+    heap[0], open_nodes, nodes, expanded = 0, 1, 1, 0
+    standing, moved = np.zeros(3), np.zeros(3)
+    while open_nodes > 0 and expanded < _BUDGET:
+        node = heap[0]
+        open_nodes -= 1
+        heap[0] = heap[open_nodes]
+        _sink(heap, open_nodes, weight)
+        expanded += 1
+        if depth[node] >= 6 * _CYCLES:
+            continue
+        leg = order[depth[node] % 6]
+        for _ in range(_MOVES):  # m body motions, (5.1) and (5.2)
+            step = _between(_BODY_STEP[0], _BODY_STEP[1])
+            angle = _within(_BODY_ANGLE)
+            moved[0] = body[node, 0] + step * math.cos(angle)
+            moved[1] = body[node, 1] + step * math.sin(angle)
+            moved[2] = body[node, 2]
+            if abs(moved[1] - start_y) > _DRIFT:
+                continue
+            stands = True
+            for other in range(6):
+                if other != leg and stands:
+                    standing[:] = feet[node, other] - moved
+                    stands = _may_stand(standing, sides[other], half_length, half_width) and _reaches(
+                        standing, T_coxa_body[other], links, limits[other]
+                    )
+            if not stands:
+                continue
+            for _ in range(_FOOTHOLDS):  # n footholds, (5.3) and (5.4)
+                step = _between(_FOOT_STEP[0], _FOOT_STEP[1])
+                angle = _within(_FOOT_ANGLE)
+                x, y = feet[node, leg, 0] + step * math.cos(angle), feet[node, leg, 1] + step * math.sin(angle)
+                i, j = int(np.rint((x - x0) / cell)), int(np.rint((y - y0) / cell))
+                i, j = _carrying(evaluation, i, j)
+                if i < 0:
+                    continue
+                goal = np.array([x0 + i * cell, y0 + j * cell, elevation[i, j] + radius])
+                apart = True
+                for other in range(6):
+                    off_x, off_y = goal[0] - feet[node, other, 0], goal[1] - feet[node, other, 1]
+                    apart = apart and (other == leg or math.sqrt(off_x * off_x + off_y * off_y) >= _APART)
+                local = goal - moved
+                if not (
+                    apart
+                    and _may_stand(local, sides[leg], half_length, half_width)
+                    and _reaches(local, T_coxa_body[leg], links, limits[leg])
+                ):
+                    continue
+                if nodes == len(parent):
+                    _count(counts, nodes, expanded)
+                    return -1
+                parent[nodes], leg_of[nodes], depth[nodes] = node, leg, depth[node] + 1
+                body[nodes] = moved
+                feet[nodes] = feet[node]
+                feet[nodes, leg] = goal
+                progress = (moved[0] - start_x) / (goal_x - start_x)
+                weight[nodes] = max(evaluation[i, j] / _BOUND, -1.0) - progress - _DEPTH_FIRST * depth[nodes]  # (5.5) as meant
+                if moved[0] >= goal_x:
+                    _count(counts, nodes + 1, expanded)
+                    return nodes
+                heap[open_nodes] = nodes
+                open_nodes += 1
+                _rise(heap, open_nodes - 1, weight)
+                nodes += 1
+    _count(counts, nodes, expanded)
+    return -1
+
+
+@compiled
+def _count(counts: NDArray[np.int64], generated: int, expanded: int) -> None:
+    """Add generated and expanded nodes."""
+    counts[0] += generated
+    counts[1] += expanded
+
+
+@compiled
+def _between(least: float, most: float) -> float:
+    """Return a random number of a uniform distribution, (5.1) and (5.3)."""
+    return least + (most - least) * float(np.random.random())  # noqa: NPY002
+
+
+@compiled
+def _within(most: float) -> float:
+    """Return a normal random number within -most and most, twice its standard deviation."""
+    while True:
+        value = float(np.random.normal(0.0, most / 2.0))  # noqa: NPY002
+        if abs(value) <= most:
+            return value
+
+
+@compiled
+def _carrying(evaluation: NDArray[np.int8], i: int, j: int) -> tuple[int, int]:
+    """Return the cell to which a sample moves (section 5.2.1), -1 and -1 for none."""
+    nx, ny = evaluation.shape
+    if not (0 <= i < nx and 0 <= j < ny):
+        return -1, -1
+    while evaluation[i, j] > _STRONG:  # greedy search of the closest local minimum
+        best_i, best_j = i, j
+        for a in range(max(i - 1, 0), min(i + 2, nx)):
+            for b in range(max(j - 1, 0), min(j + 2, ny)):
+                if evaluation[a, b] < evaluation[best_i, best_j]:
+                    best_i, best_j = a, b
+        if best_i == i and best_j == j:
+            break
+        i, j = best_i, best_j
+    return (i, j) if -127 <= evaluation[i, j] <= _WEAKEST else (-1, -1)
+
+
+@compiled
+def _may_stand(foot: Array, side: float, half_length: float, half_width: float) -> bool:
+    """Return whether a foot (3,) [m] {body} is not under the body, nor behind the end of the body that its leg is at."""
+    if abs(foot[0]) < half_length and abs(foot[1]) < half_width:
+        return False
+    return bool(side * foot[0] >= half_length or side == 0.0)
+
+
+@compiled
+def _reaches(foot: Array, T: Array, links: tuple[float, float, float], limits: Array) -> bool:
+    """Return whether a leg reaches a foot (3,) [m] {body} within its joint limits."""
+    coxa, femur, tibia = links
+    x = T[0, 0] * foot[0] + T[0, 1] * foot[1] + T[0, 2] * foot[2] + T[0, 3]
+    y = T[1, 0] * foot[0] + T[1, 1] * foot[1] + T[1, 2] * foot[2] + T[1, 3]
+    z = T[2, 0] * foot[0] + T[2, 1] * foot[1] + T[2, 2] * foot[2] + T[2, 3]
+    out = math.sqrt(x * x + y * y) - coxa
+    cosine = (out * out + z * z - (femur * femur + tibia * tibia)) / (2.0 * femur * tibia)
+    if abs(cosine) > 1.0:
+        return False
+    sine = -math.sqrt(1.0 - cosine * cosine)
+    along, across = femur + tibia * cosine, tibia * sine
+    q0, q2 = math.atan2(y, x), math.atan2(sine, cosine)
+    q1 = math.atan2(z * along - out * across, out * along + z * across)
+    return bool(limits[0, 0] <= q0 <= limits[0, 1] and limits[1, 0] <= q1 <= limits[1, 1]) and bool(
+        limits[2, 0] <= q2 <= limits[2, 1]
+    )
+
+
+@compiled
+def _rise(heap: NDArray[np.int64], at: int, weight: Array) -> None:
+    """Move a new entry of a binary heap up to its place."""
+    while at > 0:
+        above = (at - 1) // 2
+        if weight[heap[above]] <= weight[heap[at]]:
+            return
+        heap[above], heap[at] = heap[at], heap[above]
+        at = above
+
+
+@compiled
+def _sink(heap: NDArray[np.int64], size: int, weight: Array) -> None:
+    """Move the first entry of a binary heap down to its place."""
+    at = 0
+    while True:
+        least = at
+        for below in (2 * at + 1, 2 * at + 2):
+            if below < size and weight[heap[below]] < weight[heap[least]]:
+                least = below
+        if least == at:
+            return
+        heap[least], heap[at] = heap[at], heap[least]
+        at = least
