@@ -17,7 +17,7 @@ PAGES: dict[str, Callable[[], dict[str, str]]] = {  # of each kind: names of its
     "commands": commands_page.sextant,
     "benchmarks": commands_page.benchmarks,
     "scenarios": schema_pages.scenarios,
-    "profiles": lambda: {"profiles": schema_pages.profiles()},
+    "profiles": schema_pages.profiles,
     "report": lambda: {"report": schema_pages.report()},
 }
 

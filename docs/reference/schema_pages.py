@@ -1,4 +1,4 @@
-"""Generators of docs/scenarios.md and docs/scenarios_*.md, docs/profiles.md and docs/report.md."""
+"""Generators of docs/scenarios.md and docs/scenarios_*.md, docs/profiles.md and docs/profiles_*.md, and docs/report.md."""
 
 import inspect
 from typing import get_type_hints
@@ -52,8 +52,8 @@ _PARTS = {
 }
 _PROFILE = """# Profile format
 
-*`python -m docs.reference profiles` makes this page from the schema (`shared/robot/profile.py` and `servo.py`); a test checks
-that it is up to date.*
+*`python -m docs.reference profiles` makes this page and that of its servos from the schema (`shared/robot/profile.py` and
+`servo.py`); a test checks that they are up to date.*
 
 A profile is a TOML file that describes a robot. [your_robot.md](your_robot.md) has a complete one. `--robot` takes its path,
 or a name: `phantomx_mk2`, `lotriet_rx64`, `printed_sts3215` and `jethexa_hx35h` ([servos.md](servos.md)), `phantomx_mk2` with
@@ -62,6 +62,13 @@ other servos, `phantomx_mk2_ax18`, and with other cameras: `phantomx_mk2_rgbd`, 
 `extends = "phantomx_mk2"` contains only the differences; a list such as `[[legs]]` is replaced as a whole. The order of the
 legs is left front, right front, right middle, right rear, left rear, left middle.
 """
+_PROFILE_PARTS = {
+    "profiles_servos": Part(
+        "Servos and buses of a profile",
+        "[Profile format](profiles.md) describes the file and its other tables; [servos.md](servos.md) explains these.",
+        ("[servo]", "[[servo_groups]]", "[[buses]]"),
+    ),
+}
 _REPORT = """# Fields of report.json
 
 *`python -m docs.reference report` makes this page from the schema (`evaluation/report.py`); a test checks that it is up to
@@ -90,9 +97,9 @@ def scenarios() -> dict[str, str]:
     return split("scenarios", "\n".join((_SCENARIO, *tables(Scenario, layout))), _PARTS, index)
 
 
-def profiles() -> str:
-    """Return the page of the profile format in Markdown."""
-    return "\n".join((_PROFILE, *tables(RobotProfile, Layout(toml=True))))
+def profiles() -> dict[str, str]:
+    """Return the pages of the profile format in Markdown by their names."""
+    return split("profiles", "\n".join((_PROFILE, *tables(RobotProfile, Layout(toml=True)))), _PROFILE_PARTS, {})
 
 
 def report() -> str:

@@ -33,8 +33,8 @@ def test_command_writes_named_pages(
 ) -> None:
     monkeypatch.setattr(reference, "FOLDER", tmp_path)
     assert reference.main(["profiles", "report"]) == 0
-    assert capsys.readouterr().out == "docs/profiles.md\ndocs/report.md\n"
-    assert {path.name for path in tmp_path.iterdir()} == {"profiles.md", "report.md"}
+    assert capsys.readouterr().out == "docs/profiles.md\ndocs/profiles_servos.md\ndocs/report.md\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"profiles.md", "profiles_servos.md", "report.md"}
     assert reference.main(["nonsense"]) == 2
     assert "unknown 'nonsense'; known: keys, parameters," in capsys.readouterr().err
 
