@@ -26,7 +26,9 @@ from sextant.shared.scenario.family import NamedFamily, check_values
 from sextant.shared.scenario.scenario import Scenario
 
 FILE = "curve.json"
-_WAITED = re.compile(r"^the planner has been blocked for # s: ")  # it says that the walk ended, not why
+_WAITED = re.compile(r"^(?:the planner has been blocked for # s|planner, # to # s): ")  # it says that the walk ended, not why
+_ALSO = re.compile(r"; .*")  # what else was reported at that time
+_CELLS = re.compile(r" within # cm of its nominal place \(# cells: # ([^,)]*)[^)]*\)")  # the most frequent refusal is first
 _PLACE = re.compile(r" ?\(stopped at # of # m\)| # m along")
 _JOINT = re.compile(r"\b(?:left|right) (?:front|middle|rear) (coxa|femur|tibia)")
 _LEG = re.compile(r"\b(?:the )?(?:left|right) (?:front|middle|rear)(?: leg)?")
@@ -119,8 +121,8 @@ def causes(trials: Trials) -> dict[str, int]:
 
 
 def common_cause(reason: str) -> str:
-    """Return a reason without the name of the leg, the place and the wait, so that equal causes count together."""
-    cause = _PLACE.sub("", _WAITED.sub("", reason))
+    """Return a reason without leg, place, wait and numbers of cells, so that equal causes count together."""
+    cause = _ALSO.sub("", _PLACE.sub("", _CELLS.sub(r", most cells \1", _WAITED.sub("", reason))))
     return _LEG.sub("a leg", _JOINT.sub(r"a \1", cause))
 
 

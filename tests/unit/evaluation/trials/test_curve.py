@@ -62,6 +62,10 @@ def test_mirrored_failures_have_one_cause(tmp_path):
 def test_cause_of_a_joint_keeps_the_joint():
     reason = "the standing foot of the left front leg exceeds the reach of its tibia joint"
     assert curves.common_cause(reason) == "the standing foot of a leg exceeds the reach of its tibia joint"
+    cells = "# too steep or too near an edge, # out of reach or too tight for the leg"
+    reason = f"right front leg: no foothold within # cm of its nominal place (# cells: {cells}); perception reports: no frame"
+    assert curves.common_cause(reason) == "a leg: no foothold, most cells too steep or too near an edge"
+    assert curves.common_cause("planner, # to # s: no fresh terrain map; the mapper refuses scans") == "no fresh terrain map"
     assert curves.common_cause("servo shut down: right middle tibia") == "servo shut down: a tibia"
 
 
