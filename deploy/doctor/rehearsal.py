@@ -6,7 +6,7 @@ load.
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,7 +95,7 @@ def loads(durations: Mapping[str, list[float]], simulated_s: float) -> list[Stag
 
 @contextmanager
 def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
-    """Yield the cycle of a real actuator on an emulated servo bus.
+    """Yield the cycle of a real actuator on the emulated servo bus, or buses, of a robot.
 
     The robot is on a stand, and is ordered to stand up.
     """
@@ -111,10 +111,14 @@ def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
     from sextant.shared.wire.messages import ModeCommand
 
     profile = load_profile(robot)
-    with TcpBusServer(BenchEmulator(profile, np.random.default_rng(0))) as server:
-        settings = Settings(port=server.url)
-        with Actuator(profile, settings, port_openers(profile, settings), now_ns) as actuator:
-            worker = ServiceRunner(actuator, lambda *_: None, now_ns)
-            order = ModeCommand(now_ns(), "stand", now_ns(), holder="doctor")
-            worker.inbox.receive(topics.MODE, codec.encode(order), now_ns())
-            yield worker.tick
+    with ExitStack() as stack:
+        ports = []
+        for k, bus in enumerate(profile.servos.buses):
+            server = stack.enter_context(TcpBusServer(BenchEmulator(profile, np.random.default_rng(0), bus=k)))
+            ports.append(f"{bus.name}={server.url}" if bus.name else server.url)
+        settings = Settings(port=", ".join(ports))
+        actuator = stack.enter_context(Actuator(profile, settings, port_openers(profile, settings), now_ns))
+        worker = ServiceRunner(actuator, lambda *_: None, now_ns)
+        order = ModeCommand(now_ns(), "stand", now_ns(), holder="doctor")
+        worker.inbox.receive(topics.MODE, codec.encode(order), now_ns())
+        yield worker.tick

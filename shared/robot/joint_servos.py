@@ -87,6 +87,11 @@ class JointServos:
         return self._array("damping")
 
     @cached_property
+    def lag_s(self) -> Array:
+        """Times [s] by which turning servos are behind their goals."""
+        return self.damping / self.stiffness
+
+    @cached_property
     def friction(self) -> Array:
         """Dry friction [N m]."""
         return self._array("friction")

@@ -131,7 +131,7 @@ def lag_feed_forward(profile: RobotProfile, q_rate: Array, held_s: float) -> Arr
     """
     servos = profile.servos
     rate = np.minimum(np.maximum(q_rate, -servos.no_load_speed), servos.no_load_speed)
-    return np.asarray(rate * (servos.damping / servos.stiffness + held_s / 2))
+    return np.asarray(rate * (servos.lag_s + held_s / 2))
 
 
 def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array, R_level_body: Array) -> Array:

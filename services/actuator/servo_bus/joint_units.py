@@ -14,9 +14,9 @@ class JointUnits:
         """Store the units of each servo's model."""
         models = profile.servos.models
         units = [model.units for model in models]
-        self._centre = np.array([one.centre for one in units])
+        self._centre = np.array([float(one.centre) for one in units])
         self._tick_rad = np.array([one.tick_rad for one in units])
-        self._max_position = np.array([one.max_position for one in units])
+        self._max_position = np.array([float(one.max_position) for one in units])
         self._speed_rad_s = np.array([one.speed_rad_s for one in units])
         self._max_speed = np.array([model.table.goal_speed.max for model in models])
 

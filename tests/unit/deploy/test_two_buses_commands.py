@@ -12,7 +12,7 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.commands import servos
-from sextant.deploy.doctor import servo_checks
+from sextant.deploy.doctor import rehearsal, servo_checks
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.servo_bus import bus_driver
 from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, Port
@@ -139,6 +139,14 @@ def test_doctor_checks_both_buses(urls: str, tmp_path: Path) -> None:
     assert words == ["all 9 servos answer"] * 2
     (check,) = servo_checks.examine("socket://127.0.0.1:9", str(robot))
     assert "a port for each bus of the robot expected" in check.found
+
+
+def test_doctor_times_an_actuator_on_both_buses(tmp_path: Path) -> None:
+    robot = tmp_path / "robot.toml"
+    write_new_profile(robot, PROFILE)
+    with rehearsal.bench_actuator(str(robot)) as tick:
+        for _ in range(3):
+            tick()
 
 
 def test_emulate_needs_the_name_of_a_bus(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
