@@ -214,7 +214,7 @@ class GapCrossing:
         if goal_x is None:
             return Completed("no gap ahead of the robot")
         refusal = self._search.begin(field, root, goal_x, standing.body[:2, 3])
-        return CannotCross(refusal) if refusal else None
+        return self._refused(refusal) if refusal else None
 
     def _without_section(self, found: NoSection, state: ActuatorState, standing: WorldStance) -> Outcome:
         """Return the next action after a search without a path.
@@ -237,9 +237,14 @@ class GapCrossing:
             return self._set_out(f"backtracking in section {section}", back, state, words)
         if self._search.may_plan_at(standing.body[:2, 3]):
             return self._survey_again(found.reason)
+        return self._refused(found.reason + ("; no better view is available" if found.unseen else ""))
+
+    def _refused(self, reason: str) -> CannotCross:
+        """Return the end of a crossing without a further section, with the reason for each heading that was tried."""
+        if not self._search.turns:
+            return CannotCross(reason)
         most = f"{self._settings.gap_crossing.most_turn_deg:.0f} deg"
-        headings = f"straight on: {self._search.straight_refusal}; with turns up to {most}: {found.reason}"
-        return CannotCross(headings + ("; no better view is available" if found.unseen else ""))
+        return CannotCross(f"straight on: {self._search.straight_refusal}; with turns up to {most}: {reason}")
 
     def _set_out(self, name: str, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> Outcome:
         """Start to walk steps; `words` is the reason for the status."""

@@ -315,6 +315,15 @@ def test_refused_steps_trigger_new_survey_and_finally_refusal() -> None:
     assert "made no progress" in end.reason
 
 
+def test_refusal_without_progress_names_each_heading_that_was_tried() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way("all")] * ATTEMPTS, *[section(0.0, 1.85)] * 5))
+    robot.until(lambda: len(robot.sections.begun) > ATTEMPTS)
+    robot.refuse = "out of reach"
+    end = robot.until_end(3000)
+    assert isinstance(end, CannotCross)
+    assert end.reason.startswith("straight on: all; with turns up to 45 deg: the robot made no progress")
+
+
 def test_refused_view_pose_is_skipped() -> None:
     robot = Robot(ScriptedRoadmap(section(0.0, 1.85)), looks=5)
     robot.refuse = "the body would turn too far"
