@@ -5,7 +5,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tests.support.idle import give_way_to, is_giving_way
 
@@ -14,7 +14,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _WALKS = Path(__file__).parent / "walk"
 
-settings.register_profile("seeded", derandomize=True, deadline=None)
+# A busy machine makes examples slowly; that is no fault of a test.
+settings.register_profile("seeded", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("seeded")
 
 

@@ -189,7 +189,7 @@ def test_noise_scans_give_no_footholds_and_ground_recovers() -> None:
     assert np.percentile(np.abs(measured), 95) < 0.02
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(
     st.integers(0, 200),
     st.integers(0, 2**32 - 1),

@@ -163,7 +163,7 @@ def test_perception_recovers_from_future_stamp(world) -> None:  # type: ignore[n
     assert [pose_of(rig.see()).ok for _ in range(4)][-1]
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(arrays(np.uint16, (30, 40), elements=st.integers(0, 65535), fill=st.sampled_from([0, 700, 65535])))
 def test_perception_keeps_running_for_any_pixels(world, small: NDArray[np.uint16]) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)

@@ -21,7 +21,7 @@ def rotate(folder: Path, n: int, file_ns: int) -> Rotation:
     return rotation
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(n=st.integers(1, 40), file_s=st.integers(1, 50))
 def test_rotation_loses_no_message(tmp_path_factory: pytest.TempPathFactory, n: int, file_s: int) -> None:
     folder = tmp_path_factory.mktemp("rotated")
