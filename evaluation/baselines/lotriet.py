@@ -5,6 +5,8 @@ does not say what happens if a foot finds no place. The comment of each constant
 path to the goal, moves the feet along its own arcs, and checks each step.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from sextant.plugins import ElevationMap, NoStep, RobotProfile, Step, StepRequest, TerrainMap
 from sextant.services.mapper.footholds.foothold_score import published_score
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
-from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.kinematics import body_inverse, leg_inverse, within_limits
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 
 # Assumed: the weights of Sextant's own score, converted to his sums. Alone, a slope of 31 deg reaches the limit of 1.
@@ -66,18 +68,30 @@ class Steps:
         nominal = apply(_moved(end, travel / 2, turn / 2), rest)  # (5.19): where the body is in the middle of the next stance
         targets = request.feet.copy()
         for leg in np.flatnonzero(swing):
-            place = first_place(request.map, nominal[leg, :2])
+            end[2, 3] = self._body_z(request, end, targets)
+            place = first_place(request.map, nominal[leg, :2], partial(self._reached, end, int(leg)))
             if place is None:
-                reason = f"no cell with a score of at most 1 within {_SEARCH_M * 100:.0f} cm of its nominal place"
-                return NoStep(reason, int(leg))
+                within = f"within {_SEARCH_M * 100:.0f} cm of its nominal place"
+                return NoStep(f"no cell with a score of at most 1 in reach {within}", int(leg))
             targets[leg] = place + np.array([0.0, 0.0, profile.foot.radius])
-        floor = floor_height(targets[:, 2] - profile.foot.radius)
-        end[2, 3] = max(floor, _highest_under(request.map, end, profile.body.size)) + request.body_height
+        end[2, 3] = self._body_z(request, end, targets)
         if unmet := self._unmet(end, targets, swing):
             return unmet
         rise = np.abs(targets[:, 2] - request.feet[:, 2]).max(initial=0.0, where=swing)
         clearance = min(max(request.lift, float(rise) + _OVER_RISE_M), profile.stance.max_lift)
         return Step(swing, targets, end, np.full(6, clearance), request.step_s)
+
+    def _body_z(self, request: StepRequest, end: Array, targets: Array) -> float:
+        """Return the height [m] {world} of the body over the floor of targets (6, 3) [m] {world} (section 6.4)."""
+        floor = floor_height(targets[:, 2] - self._profile.foot.radius)
+        return max(floor, _highest_under(request.map, end, self._profile.body.size)) + request.body_height
+
+    def _reached(self, end: Array, leg: int, places: Array) -> NDArray[np.bool_]:
+        """Return which places (n, 3) [m] {world} a leg reaches at the end of a step (section 6.2.3)."""
+        feet = places + np.array([0.0, 0.0, self._profile.foot.radius])
+        T = self._profile.T_coxa_body[leg] @ inverse(end)
+        q, limits = leg_inverse(apply(T, feet), self._profile.links), self._profile.joint_limits[leg]
+        return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=-1))
 
     def _unmet(self, end: Array, feet: Array, swing: NDArray[np.bool_]) -> NoStep | None:
         """Return which constraint the end of a step does not meet (section 6.2.3), or None."""
@@ -109,19 +123,21 @@ def swinging(along: Array, feet: Array, rest: Array) -> NDArray[np.bool_] | None
     return np.asarray((np.arange(6) - active) % 2 == int(stretched))
 
 
-def first_place(terrain: TerrainMap, xy: Array) -> Array | None:
-    """Return the first cell (3,) [m] {world} with a valid score, or None.
+def first_place(
+    terrain: TerrainMap, xy: Array, reached: Callable[[Array], NDArray[np.bool_]] = lambda places: np.full(len(places), True)
+) -> Array | None:
+    """Return the first cell (3,) [m] {world} with a valid score that is reached, or None.
 
     The search goes in squares that grow around a place (2,) [m] {world}.
 
-    Source: section 6.3.
+    Source: sections 6.2.3 and 6.3.
     """
-    n = round(_SEARCH_M / terrain.resolution)
-    middle = np.rint((xy - terrain.origin) / terrain.resolution).astype(int)
-    for cell in middle + _squares(n):
-        if (cell >= 0).all() and (cell < terrain.score.shape).all() and terrain.score[tuple(cell)] <= 1.0:
-            return np.array([*(terrain.origin + terrain.resolution * cell), terrain.elevation[tuple(cell)]])
-    return None
+    cells = np.rint((xy - terrain.origin) / terrain.resolution).astype(int) + _squares(round(_SEARCH_M / terrain.resolution))
+    cells = cells[((cells >= 0) & (cells < terrain.score.shape)).all(axis=1)]
+    cells = cells[terrain.score[tuple(cells.T)] <= 1.0]  # NaN is unknown
+    places = np.column_stack([terrain.origin + terrain.resolution * cells, terrain.elevation[tuple(cells.T)]])
+    places = places[reached(places)]
+    return places[0] if len(places) else None
 
 
 def floor_height(ground: Array) -> float:

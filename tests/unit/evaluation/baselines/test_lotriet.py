@@ -91,6 +91,12 @@ def test_search_ends_at_its_square_and_at_the_border_of_the_map() -> None:
     assert lotriet.first_place(ground(score=np.nan), np.zeros(2)) is None
 
 
+def test_search_passes_over_cells_out_of_reach() -> None:
+    place = lotriet.first_place(ground(), np.zeros(2), lambda places: places[:, 0] > 0.015)
+    assert place is not None
+    assert place[:2] == pytest.approx([0.02, -0.02], abs=1e-6)
+
+
 def test_floor_is_the_mean_of_the_three_highest_targets() -> None:
     assert lotriet.floor_height(np.array([0.0, 0.06, -0.1, 0.03, 0.0, 0.0])) == pytest.approx(0.03)
 
@@ -138,6 +144,15 @@ def test_foot_out_of_reach_is_refused() -> None:
     tall = np.zeros((N, N))
     tall[:, N // 2 + 5 :] = 0.3
     found = lotriet.Steps(PROFILE).plan(request(ground(tall)))
+    assert isinstance(found, NoStep)
+    assert "in reach" in found.reason
+
+
+def test_standing_foot_that_would_stay_behind_out_of_reach_is_refused() -> None:
+    asked = request(ground())
+    stretched = asked.feet.copy()
+    stretched[~TRIPOD] += [-0.16, 0.0, 0.0]
+    found = lotriet.Steps(PROFILE).plan(replace(asked, feet=stretched, velocity=np.array([0.001, 0.0])))
     assert isinstance(found, NoStep)
     assert "out of reach" in found.reason
 
