@@ -187,6 +187,8 @@ def _run(model: ServoModel, name: str, answers: int, rng: Random) -> Found:
     motor, supply = MOTOR_AND_SUPPLY[model.name]
     bank = ServoBank(range(1, _N + 1), model, motor, supply=supply)
     bank.column(model.table.baud_rate)[:] = model.rate_code(model.bus_rate)
+    if model.fast_firmware is not None:  # answers of single servos, not a combined one
+        bank.column(model.table.firmware)[:] = model.fast_firmware - 1
     bus = _SpoiltBus(bank, way, rng, found)
     port = MemoryPort(bus, lambda: now_ns)
     driver = bus_of(model)(port, range(1, _N + 1), port.now_ns, model=model)

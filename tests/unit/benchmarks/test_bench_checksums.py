@@ -4,12 +4,16 @@ import json
 from pathlib import Path
 from random import Random
 
+import numpy as np
 import pytest
 
 from benchmarks import cli
 from benchmarks.robot import checksums
-from sextant.shared.servo import lx16a
+from sextant.services.actuator.servo_bus.command_bus import bus_of
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.shared.servo import dynamixel2, lx16a
 from sextant.shared.servo.models import MODEL_NAMED
+from tests.support.families import Bench
 
 
 @pytest.mark.slow
@@ -25,6 +29,33 @@ def test_accepted_wrong_values_keep_the_odds_of_the_checksum(name: str) -> None:
             continue
         assert one.wrong_positions <= one.intact
         assert one.wrong_errors == 0
+
+
+@pytest.mark.parametrize("way", [name for name, way in checksums.WAYS.items() if way.odds and "another servo" not in name])
+def test_spoilt_combined_answer_gives_no_wrong_position(way: str) -> None:
+    """Each exchange has a driver of its own: one that has lost a combined answer does not ask for the next one."""
+    bench, rng, combined, believed = Bench("XL430-W250", 6), Random(f"1 {way}"), 0, 0
+    receive = bench.emulator.receive
+
+    def spoil(data: bytes, now_ns: int) -> list[Reply]:
+        nonlocal combined
+        replies = receive(data, now_ns)
+        if [reply.servo_id for reply in replies] != [dynamixel2.BROADCAST_ID]:
+            return replies
+        combined += 1
+        return [replies[0]._replace(data=checksums.WAYS[way].spoil(replies[0].data, b"", rng))]
+
+    bench.emulator.receive = spoil  # type: ignore[method-assign]
+    tick = bench.model.units.tick_rad
+    for _ in range(400):
+        q = np.array([rng.uniform(-1.2, 1.2) for _ in bench.ids])
+        bench.pass_time(0.02, q)
+        driver = bus_of(bench.model)(bench.port, bench.ids, bench.port.now_ns, model=bench.model)
+        readings = driver.poll(12_000_000)
+        believed += len(readings)
+        assert all(abs(one.position - q[one.index]) <= tick for one in readings)
+    assert combined == 400
+    assert believed > 400, "the parts before the spoilt byte are used, and the others asked again"
 
 
 @pytest.mark.parametrize("name", checksums.MODEL_NAMES)
