@@ -8,6 +8,7 @@ strips, and makes as many nodes as in his Table 6.1. Eq. (5.5) is taken as its t
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,16 +49,59 @@ class Crossing:
     expanded: tuple[int, ...]  # n_e of each section
 
 
+class _Strip(NamedTuple):
+    """The ground, and how far to go."""
+
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {strip}
+    evaluation: NDArray[np.int8]  # (nx, ny) [cells] F
+    x0: float  # [m] of the first cell
+    y0: float  # [m]
+    cell: float  # [m] edge
+    goal_x: float  # [m]
+
+
+class _Robot(NamedTuple):
+    """The legs and the trunk."""
+
+    T_coxa_body: Array  # (6, 4, 4)
+    links: tuple[float, float, float]  # [m] coxa, femur, tibia
+    limits: Array  # (6, 3, 2) [rad]
+    foot_radius: float  # [m]
+    ends: NDArray[np.int64]  # (6,) 1 for front, -1 for rear, 0 for middle legs
+    half_length: float  # [m] of the trunk
+    half_width: float  # [m]
+
+
+class _Tree(NamedTuple):
+    """Configurations (n), and a heap of those that are open."""
+
+    parent: NDArray[np.int64]
+    leg: NDArray[np.int64]  # that made the step from the parent
+    depth: NDArray[np.int64]
+    body: Array  # (n, 3) [m] {strip}
+    feet: Array  # (n, 6, 3) [m] {strip}
+    weight: Array
+    heap: NDArray[np.int64]
+
+
 class MasriPlanner:
     """Plans a crossing in three sections of equal length."""
 
     def __init__(self, profile: RobotProfile) -> None:
         """Prepare for a robot, and compile."""
         self._profile = profile
-        self._links = profile.links.coxa, profile.links.femur, profile.links.tibia
-        self._parent, self._leg = np.zeros(_NODES, dtype=np.int64), np.zeros(_NODES, dtype=np.int64)
-        self._depth, self._heap = np.zeros(_NODES, dtype=np.int64), np.zeros(_NODES, dtype=np.int64)
-        self._body, self._feet, self._weight = np.zeros((_NODES, 3)), np.zeros((_NODES, 6, 3)), np.zeros(_NODES)
+        mounts, (length, width, _) = profile.T_body_coxa[:, 0, 3], profile.body.size
+        self._robot = _Robot(
+            profile.T_coxa_body,
+            (profile.links.coxa, profile.links.femur, profile.links.tibia),
+            profile.joint_limits,
+            profile.foot.radius,
+            (np.sign(mounts) * (np.abs(mounts) > length / 4)).astype(np.int64),
+            length / 2,
+            width / 2,
+        )
+        parent, leg, depth, heap = np.zeros((4, _NODES), dtype=np.int64)
+        self._tree = _Tree(parent, leg, depth, np.zeros((_NODES, 3)), np.zeros((_NODES, 6, 3)), np.zeros(_NODES), heap)
 
     def plan(self, field: StripMap, stance: Stance, goal_x: float, seed: int = 1) -> Crossing:
         """Plan from a stance to a body at x = `goal_x` [m] {strip}."""
@@ -76,46 +120,29 @@ class MasriPlanner:
             if last < 0:
                 return Crossing(tuple(steps), False, tuple(generated), tuple(expanded))
             steps += self._steps_to(field, last)
-            stance = Stance(self._body[last].copy(), self._feet[last].copy())
+            stance = Stance(self._tree.body[last].copy(), self._tree.feet[last].copy())
         return Crossing(tuple(steps), True, tuple(generated), tuple(expanded))
 
     def _search(self, field: StripMap, stance: Stance, goal_x: float, counts: NDArray[np.int64], seed: int) -> int:
         """Return the index of the configuration at the goal, -1 without one."""
-        profile = self._profile
-        length, width, _ = profile.body.size
-        sides = np.sign(profile.T_body_coxa[:, 0, 3]) * (np.abs(profile.T_body_coxa[:, 0, 3]) > length / 4)
-        self._body[0], self._feet[0] = stance.body, stance.feet
-        return int(
-            search(
-                field.elevation,
-                field.evaluation,
-                (*field.first_cell, field.resolution, profile.foot.radius, goal_x, length / 2, width / 2),
-                _ORDER,
-                sides,
-                profile.T_coxa_body,
-                self._links,
-                profile.joint_limits,
-                (self._parent, self._leg, self._depth, self._heap),
-                (self._body, self._feet, self._weight),
-                counts,
-                seed,
-            )
-        )
+        self._tree.body[0], self._tree.feet[0] = stance.body, stance.feet
+        strip = _Strip(field.elevation, field.evaluation, *field.first_cell, field.resolution, goal_x)
+        return int(search(strip, self._robot, self._tree, counts, seed))
 
     def _steps_to(self, field: StripMap, node: int) -> list[PassageStep]:
         """Return the steps from the root to a configuration."""
         way = []
         while node > 0:
             way.append(node)
-            node = int(self._parent[node])
+            node = int(self._tree.parent[node])
         return [self._step(field, node) for node in reversed(way)]
 
     def _step(self, field: StripMap, node: int) -> PassageStep:
-        before, leg = int(self._parent[node]), int(self._leg[node])
-        foot, touchdown, body = self._feet[before, leg], self._feet[node, leg], self._body[node]
-        standing = np.delete(self._feet[before], leg, axis=0)[:, :2]
+        before, leg = int(self._tree.parent[node]), int(self._tree.leg[node])
+        foot, touchdown, body = self._tree.feet[before, leg], self._tree.feet[node, leg], self._tree.body[node]
+        standing = np.delete(self._tree.feet[before], leg, axis=0)[:, :2]
         centre = resting_centre_of_mass(self._profile)[:2]
-        margin = min(support_margin(standing, place[:2] + centre) for place in (self._body[before], body))
+        margin = min(support_margin(standing, place[:2] + centre) for place in (self._tree.body[before], body))
         return PassageStep(leg, touchdown.copy(), self._clearance(field, foot, touchdown), body.copy(), margin)
 
     def _clearance(self, field: StripMap, foot: Array, touchdown: Array) -> float:
@@ -129,110 +156,95 @@ class MasriPlanner:
 
 
 @compiled
-def search(
-    elevation: NDArray[np.float32],
-    evaluation: NDArray[np.int8],
-    ground: tuple[float, ...],
-    order: NDArray[np.int64],
-    sides: Array,
-    T_coxa_body: Array,
-    links: tuple[float, float, float],
-    limits: Array,
-    links_of_tree: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
-    tree: tuple[Array, Array, Array],
-    counts: NDArray[np.int64],
-    seed: int,
-) -> int:
+def search(strip: _Strip, robot: _Robot, tree: _Tree, counts: NDArray[np.int64], seed: int) -> int:
     """Grow a tree of configurations from node 0; return the node at the goal, or -1.
 
     The candidate of the current leg with the lowest weight is expanded. If none is left, the search goes back by one step.
 
     Args:
-        elevation: (nx, ny) [m] {strip}.
-        evaluation: (nx, ny) [cells] F.
-        ground: [m] x and y of the first cell, cell edge, radius of a foot, x of the goal, half length and width of the body.
-        order: (6,) legs in the order of the gait.
-        sides: (6,) 1 for front, -1 for rear, 0 for middle legs.
-        T_coxa_body: (6, 4, 4).
-        links: [m] coxa, femur, tibia.
-        limits: (6, 3, 2) [rad].
-        links_of_tree: (n,) parent, leg, depth, and a heap of open nodes.
-        tree: (n, 3) [m] {strip} bodies, (n, 6, 3) [m] {strip} feet, and (n,) weights.
+        strip: The ground.
+        robot: The robot.
+        tree: Memory; body and feet of node 0 are the start.
         counts: (2,) generated and expanded nodes, to which those of this search are added.
         seed: Of the samples.
     """
-    parent, leg_of, depth, heap = links_of_tree
-    body, feet, weight = tree
-    x0, y0, cell, radius, goal_x, half_length, half_width = ground
     np.random.seed(seed)  # noqa: NPY002 - compiled code has its own generator
-    start_x, start_y = body[0, 0], body[0, 1]
-    parent[0], depth[0], weight[0] = -1, 0, 0.0
-    heap[0], open_nodes, nodes, expanded = 0, 1, 1, 0
-    standing, moved = np.zeros(3), np.zeros(3)
+    start_x, start_y = tree.body[0, 0], tree.body[0, 1]
+    tree.parent[0], tree.depth[0], tree.weight[0], tree.heap[0] = -1, 0, 0.0, 0
+    open_nodes, nodes, expanded = 1, 1, 0
+    moved, goal = np.zeros(3), np.zeros(3)
     while open_nodes > 0 and expanded < _BUDGET:
-        node = heap[0]
+        node = tree.heap[0]
         open_nodes -= 1
-        heap[0] = heap[open_nodes]
-        _sink(heap, open_nodes, weight)
+        tree.heap[0] = tree.heap[open_nodes]
+        _sink(tree.heap, open_nodes, tree.weight)
         expanded += 1
-        if depth[node] >= 6 * _CYCLES:
+        if tree.depth[node] >= 6 * _CYCLES:
             continue
-        leg = order[depth[node] % 6]
-        for _ in range(_MOVES):  # m body motions, (5.1) and (5.2)
-            step = _between(_BODY_STEP[0], _BODY_STEP[1])
-            angle = _within(_BODY_ANGLE)
-            moved[0] = body[node, 0] + step * math.cos(angle)
-            moved[1] = body[node, 1] + step * math.sin(angle)
-            moved[2] = body[node, 2]
-            if abs(moved[1] - start_y) > _DRIFT:
+        leg = _ORDER[tree.depth[node] % 6]
+        for _ in range(_MOVES):  # (5.1) and (5.2)
+            step, angle = _between(_BODY_STEP[0], _BODY_STEP[1]), _within(_BODY_ANGLE)
+            moved[:] = tree.body[node]
+            moved[0] += step * math.cos(angle)
+            moved[1] += step * math.sin(angle)
+            if abs(moved[1] - start_y) > _DRIFT or not _others_stand(robot, tree.feet[node], leg, moved):
                 continue
-            stands = True
-            for other in range(6):
-                if other != leg and stands:
-                    standing[:] = feet[node, other] - moved
-                    stands = _may_stand(standing, sides[other], half_length, half_width) and _reaches(
-                        standing, T_coxa_body[other], links, limits[other]
-                    )
-            if not stands:
-                continue
-            for _ in range(_FOOTHOLDS):  # n footholds, (5.3) and (5.4)
-                step = _between(_FOOT_STEP[0], _FOOT_STEP[1])
-                angle = _within(_FOOT_ANGLE)
-                x, y = feet[node, leg, 0] + step * math.cos(angle), feet[node, leg, 1] + step * math.sin(angle)
-                i, j = int(np.rint((x - x0) / cell)), int(np.rint((y - y0) / cell))
-                i, j = _carrying(evaluation, i, j)
-                if i < 0:
+            for _ in range(_FOOTHOLDS):  # (5.3) and (5.4)
+                step, angle = _between(_FOOT_STEP[0], _FOOT_STEP[1]), _within(_FOOT_ANGLE)
+                goal[:] = tree.feet[node, leg]
+                goal[0] += step * math.cos(angle)
+                goal[1] += step * math.sin(angle)
+                value = _put_on_ground(strip, robot.foot_radius, goal)
+                if value >= 0 or not _may_land(robot, tree.feet[node], leg, moved, goal):
                     continue
-                goal = np.array([x0 + i * cell, y0 + j * cell, elevation[i, j] + radius])
-                apart = True
-                for other in range(6):
-                    off_x, off_y = goal[0] - feet[node, other, 0], goal[1] - feet[node, other, 1]
-                    apart = apart and (other == leg or math.sqrt(off_x * off_x + off_y * off_y) >= _APART)
-                local = goal - moved
-                if not (
-                    apart
-                    and _may_stand(local, sides[leg], half_length, half_width)
-                    and _reaches(local, T_coxa_body[leg], links, limits[leg])
-                ):
-                    continue
-                if nodes == len(parent):
+                if nodes == len(tree.parent):
                     _count(counts, nodes, expanded)
                     return -1
-                parent[nodes], leg_of[nodes], depth[nodes] = node, leg, depth[node] + 1
-                body[nodes] = moved
-                feet[nodes] = feet[node]
-                feet[nodes, leg] = goal
-                progress = (moved[0] - start_x) / (goal_x - start_x)
-                weight[nodes] = max(evaluation[i, j] / _BOUND, -1.0) - progress - _DEPTH_FIRST * depth[nodes]  # (5.5) as meant
-                if moved[0] >= goal_x:
+                tree.parent[nodes], tree.leg[nodes], tree.depth[nodes] = node, leg, tree.depth[node] + 1
+                tree.body[nodes], tree.feet[nodes], tree.feet[nodes, leg] = moved, tree.feet[node], goal
+                progress = (moved[0] - start_x) / (strip.goal_x - start_x)
+                safety = max(value / _BOUND, -1.0)
+                tree.weight[nodes] = safety - progress - _DEPTH_FIRST * tree.depth[nodes]  # (5.5) as meant
+                if moved[0] >= strip.goal_x:
                     _count(counts, nodes + 1, expanded)
                     return nodes
-                heap[open_nodes] = nodes
+                tree.heap[open_nodes] = nodes
                 open_nodes += 1
-                _rise(heap, open_nodes - 1, weight)
+                _rise(tree.heap, open_nodes - 1, tree.weight)
                 nodes += 1
     _count(counts, nodes, expanded)
     return -1
+
+
+@compiled
+def _others_stand(robot: _Robot, feet: Array, leg: int, body: Array) -> bool:
+    """Return whether all legs but one may stand and reach their feet from a body (3,) [m] {strip} (section 5.1.1)."""
+    stand = True
+    for other in range(6):
+        stand = stand and (other == leg or _stands(robot, other, feet[other] - body))
+    return stand
+
+
+@compiled
+def _may_land(robot: _Robot, feet: Array, leg: int, body: Array, goal: Array) -> bool:
+    """Return whether a leg may stand at a goal (3,) [m] {strip}, reaches it, and keeps away from the others (section 5.2.1)."""
+    for other in range(6):
+        off_x, off_y = goal[0] - feet[other, 0], goal[1] - feet[other, 1]
+        if other != leg and math.sqrt(off_x * off_x + off_y * off_y) < _APART:
+            return False
+    return _stands(robot, leg, goal - body)
+
+
+@compiled
+def _put_on_ground(strip: _Strip, foot_radius: float, foot: Array) -> int:
+    """Move a foot (3,) [m] {strip} onto the ground that carries it, and return F there [cells], 0 if there is none."""
+    i, j = int(np.rint((foot[0] - strip.x0) / strip.cell)), int(np.rint((foot[1] - strip.y0) / strip.cell))
+    i, j = _carrying(strip.evaluation, i, j)
+    if i < 0:
+        return 0
+    foot[0], foot[1] = strip.x0 + i * strip.cell, strip.y0 + j * strip.cell
+    foot[2] = strip.elevation[i, j] + foot_radius
+    return int(strip.evaluation[i, j])
 
 
 @compiled
@@ -276,17 +288,17 @@ def _carrying(evaluation: NDArray[np.int8], i: int, j: int) -> tuple[int, int]:
 
 
 @compiled
-def _may_stand(foot: Array, side: float, half_length: float, half_width: float) -> bool:
-    """Return whether a foot (3,) [m] {body} is not under the body, nor behind the end of the body that its leg is at."""
-    if abs(foot[0]) < half_length and abs(foot[1]) < half_width:
+def _stands(robot: _Robot, leg: int, foot: Array) -> bool:
+    """Return whether a leg may stand at a foot (3,) [m] {body}, and reaches it within its joint limits.
+
+    It may not stand under the trunk, and front and rear legs not behind their end of it.
+    """
+    if abs(foot[0]) < robot.half_length and abs(foot[1]) < robot.half_width:
         return False
-    return bool(side * foot[0] >= half_length or side == 0.0)
-
-
-@compiled
-def _reaches(foot: Array, T: Array, links: tuple[float, float, float], limits: Array) -> bool:
-    """Return whether a leg reaches a foot (3,) [m] {body} within its joint limits."""
-    coxa, femur, tibia = links
+    if robot.ends[leg] != 0 and robot.ends[leg] * foot[0] < robot.half_length:
+        return False
+    coxa, femur, tibia = robot.links
+    T, limits = robot.T_coxa_body[leg], robot.limits[leg]
     x = T[0, 0] * foot[0] + T[0, 1] * foot[1] + T[0, 2] * foot[2] + T[0, 3]
     y = T[1, 0] * foot[0] + T[1, 1] * foot[1] + T[1, 2] * foot[2] + T[1, 3]
     z = T[2, 0] * foot[0] + T[2, 1] * foot[1] + T[2, 2] * foot[2] + T[2, 3]
@@ -298,9 +310,8 @@ def _reaches(foot: Array, T: Array, links: tuple[float, float, float], limits: A
     along, across = femur + tibia * cosine, tibia * sine
     q0, q2 = math.atan2(y, x), math.atan2(sine, cosine)
     q1 = math.atan2(z * along - out * across, out * along + z * across)
-    return bool(limits[0, 0] <= q0 <= limits[0, 1] and limits[1, 0] <= q1 <= limits[1, 1]) and bool(
-        limits[2, 0] <= q2 <= limits[2, 1]
-    )
+    inside = limits[0, 0] <= q0 <= limits[0, 1] and limits[1, 0] <= q1 <= limits[1, 1]
+    return bool(inside and limits[2, 0] <= q2 <= limits[2, 1])
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""One bus of a robot with several: a profile of which only the servos on this bus are asked."""
+"""One bus of a robot with several: a profile that names the servos on this bus only."""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -10,7 +10,7 @@ from sextant.shared.servo.servo_model import ServoModel
 
 @dataclass(frozen=True)
 class OneBus(RobotProfile):
-    """A robot of which only the servos on one bus are asked."""
+    """A robot whose servo names and models are those of one bus."""
 
     bus: str = ""  # its name
 
@@ -47,5 +47,5 @@ class OneBus(RobotProfile):
 
 
 def on_bus(profile: RobotProfile, bus: str) -> OneBus:
-    """Return a robot of which only the servos on a bus are asked."""
+    """Return a robot whose servo names and models are those of one bus."""
     return OneBus(**{one.name: getattr(profile, one.name) for one in fields(RobotProfile)}, bus=bus)

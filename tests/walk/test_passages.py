@@ -6,10 +6,12 @@ One leg moves at a time.
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
-from sextant.services.planner.gap_crossing.strip_survey import STRIP
-from sextant.shared.scenario.scenario import Course, Gap, Level, Pillars, Plane, Scenario, load_scenario
+from sextant.services.planner.gap_crossing.strip_survey import STRIP, TURNING_WIDTH
+from sextant.shared.geometry import yaw_of
+from sextant.shared.scenario.scenario import Box, Course, Gap, Level, Pillars, Plane, Scenario, load_scenario
 from sextant.shared.wire import topics
 from tests.support.walks import walk
 
@@ -22,6 +24,34 @@ def short_gap() -> Scenario:
     course = Course((Level(1.3), Gap(0.315), Level(1.5)), 1.6)
     pillars = Pillars(((0.8575, 0.16), (0.8575, -0.16)), 0.10, 0.0, length=0.17, depth=0.4, jitter=0.01)
     return replace(passage, goal=replace(passage.goal, distance=1.2), terrain=(Plane(height=-0.4), course, pillars))
+
+
+def bridge_aside(degrees: float) -> Scenario:
+    """Return a passage whose two rows of pillars lead aside of the way, from the near edge of the gap on."""
+    passage, direction = load_scenario("passage1"), np.radians(degrees)
+    along, left = np.array([np.cos(direction), np.sin(direction)]), np.array([-np.sin(direction), np.cos(direction)])
+    near = np.array([0.8, 0.0])  # [m] middle of the near edge
+    boxes = tuple(
+        Box(tuple(near + ahead * along + side * left), size=(0.17, 0.10), top=0.0, depth=0.4, yaw_deg=degrees)
+        for ahead in (0.17, 0.43, 0.69)
+        for side in (-0.16, 0.16)
+    )
+    course = Course((Level(1.4), Gap(0.8), Level(1.8)), 2.4)
+    return replace(passage, goal=replace(passage.goal, distance=2.3), terrain=(Plane(height=-0.4), course, *boxes))
+
+
+@pytest.mark.campaign
+def test_bridge_that_leads_aside_is_crossed_with_turns_of_the_body() -> None:
+    found = walk(bridge_aside(22.0), 1000, WANTED)
+    report = found.report
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns, report.passage.feet_off) == (0, 0, 0)
+    assert report.min_stability_margin_m >= 0.02
+    widths = [r.width for r in found.heard.of(topics.PASSAGE_REQUEST)]
+    assert widths[0] == STRIP[1], "the crossing is tried straight on first"
+    assert TURNING_WIDTH in widths
+    yaws = [np.degrees(yaw_of(s.body_ref)) for s in found.states()]
+    assert max(yaws) > 10.0
 
 
 @pytest.mark.parametrize("scenario", [short_gap(), pytest.param(load_scenario("passage3"), marks=pytest.mark.campaign)])

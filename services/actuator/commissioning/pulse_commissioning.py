@@ -1,7 +1,7 @@
 """Commissioning of hobby servos: pulses of each channel, calibration by pulses, and a test that the operator watches.
 
-The servos measure nothing. A joint with pulses jumps to them, so only one joint at a time gets any, and the operator is asked
-before.
+The servos measure nothing. A joint jumps to its first pulses. So one joint at a time gets pulses, and the operator confirms
+first.
 """
 
 from collections.abc import Callable, Iterator, Sequence

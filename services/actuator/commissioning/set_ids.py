@@ -345,7 +345,7 @@ def _new_one(
 
     Args:
         line: The port for a further scan.
-        before: Ids that answered when the operator was asked to plug it in.
+        before: Ids that answered after the question to plug it in.
         found: Servos that answer now, at the ids of new servos and of the robot.
         profile: The robot.
         operator: Receives the messages.

@@ -46,7 +46,7 @@ class Identified(NamedTuple):
 
 
 def identify(opener: Opener, servo_id: int, model: ServoModel | None = None) -> Identified:
-    """Return model and rate of the servo with an id, which is asked in all protocols or only in that of a model.
+    """Return model and rate of the servo with an id. Without a model, all protocols are tried.
 
     Servos that do not tell their model get the first one with their packets.
 

@@ -365,7 +365,7 @@ class ServoBus:
                 return readings
 
     def polling(self, budget_ns: int, first: Sequence[int] = ()) -> Polling:
-        """Do the same as `poll`, and yield between each request and its answer, when other buses can be asked."""
+        """Do the same as `poll`, and yield after each request, so that other buses can send theirs."""
         if self.model.sync_read is not None and self._clock() >= self._singly_until_ns:
             return (yield from self._poll_together(self.model.sync_read, budget_ns, first))
         readings: list[ServoReading] = []

@@ -1,6 +1,6 @@
-"""Servos of a robot on several buses, each with a port of its own, as one list of servos.
+"""Servos on several buses as one list. Each bus has a separate port.
 
-Requests go to the buses at the same time, so that reading takes as long as on the slowest of them. The robot has lost its bus
+The buses get their requests at the same time. So reading takes as long as on the slowest bus. The robot has lost its bus
 if it has lost one of them, whose name is in the error.
 """
 

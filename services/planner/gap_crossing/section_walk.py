@@ -46,7 +46,7 @@ class SectionWalk:
         return f"gap crossing, {self.name}: step {number} of {len(self._steps)}"
 
     def planned_step(self, index: int, standing: WorldStance, profile: RobotProfile, settings: Settings) -> PlannedStep:
-        """Return a step of the section as a step in {world}, for the robot as it stands before it."""
+        """Return a step of the section as a step in {world}, from the stance of the robot."""
         step, T = self._steps[index], self._field.T_world_strip
         swing = np.arange(6) == step.leg
         touchdown = standing.feet.copy()

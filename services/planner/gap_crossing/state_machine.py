@@ -32,10 +32,8 @@ _PATIENCE_NS = 6_000_000_000  # [ns] maximum time to wait for a map
 _RISE = 0.01  # [m] from which a look counts as raised
 _BACK, _BACK_TURN, _RETURNS = 0.015, np.radians(3.0), 2  # [m], [rad] tolerance and attempts of the return from a look
 _NEARLY = 0.02  # [m] distance from its goal at which a section counts as complete
-_ASIDE, _TURNED = (
-    0.18,
-    np.radians(10.0),
-)  # [m] and [rad] beyond the planned ones, from which the robot counts as being elsewhere
+# [m] and [rad] beyond what a section may plan, from which the robot counts as being elsewhere.
+_ASIDE, _TURNED = 0.18, np.radians(10.0)
 
 Stage = Literal["survey", "look", "return", "plan", "walk"]
 
@@ -201,12 +199,12 @@ class GapCrossing:
 
     def _begin_search(self, root: Stance, standing: WorldStance) -> Completed | CannotCross | None:
         """Start the search for a section; return the end of the crossing if there is none to search."""
-        params, turned = self._settings.gap_crossing, abs(root.yaw)
-        drift, turn = (
-            (params.turning_drift_m, np.radians(params.most_turn_deg)) if self._search.turns else (params.drift_m, 0.0)
-        )
-        if abs(root.body[1]) > drift + _ASIDE or turned > turn + _TURNED:
-            off = f"{root.body[1]:.2f} m and {np.degrees(turned):.0f} deg"
+        params = self._settings.gap_crossing
+        drift, turn = params.drift_m, 0.0
+        if self._search.turns:
+            drift, turn = params.turning_drift_m, np.radians(params.most_turn_deg)
+        if abs(root.body[1]) > drift + _ASIDE or abs(root.yaw) > turn + _TURNED:
+            off = f"{root.body[1]:.2f} m and {np.degrees(root.yaw):.0f} deg"
             return CannotCross(f"the robot is {off} off the centre line of the strip")
         field = self._field = self._ground.excluded_from(self._required_field, root.feet)
         target_x = float(apply(inverse(self._survey.T_world_strip), np.array([*self._target, 0.0]))[0])

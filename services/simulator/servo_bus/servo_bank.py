@@ -375,7 +375,7 @@ class ServoBank:
         return int(self.model.hardware_errors(int(self.column(self.table.shutdown)[row])))
 
     def _unload(self) -> None:
-        """Give servos no torque as long as they are too hot, or their voltage is outside its limits."""
+        """Give no torque to servos that are too hot, or whose voltage is outside its limits."""
         table, volts = self.table, self.voltage / self._units.volt
         low = (volts < self.column(table.min_voltage)) | (volts > self.column(table.max_voltage))
         found = (self._tripped | np.where(low, np.uint8(ServoError.INPUT_VOLTAGE), 0)) & self.column(table.shutdown)

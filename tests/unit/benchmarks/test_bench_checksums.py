@@ -33,7 +33,7 @@ def test_accepted_wrong_values_keep_the_odds_of_the_checksum(name: str) -> None:
 
 @pytest.mark.parametrize("way", [name for name, way in checksums.WAYS.items() if way.odds and "another servo" not in name])
 def test_spoilt_combined_answer_gives_no_wrong_position(way: str) -> None:
-    """Each exchange has a driver of its own: one that has lost a combined answer does not ask for the next one."""
+    """Each exchange has a new driver, because one that has lost a combined answer does not ask for the next one."""
     bench, rng, combined, believed = Bench("XL430-W250", 6), Random(f"1 {way}"), 0, 0
     receive = bench.emulator.receive
 

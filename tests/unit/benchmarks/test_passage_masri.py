@@ -25,7 +25,7 @@ def planner() -> MasriPlanner:
 
 
 def walked(field: StripMap, crossing: Crossing) -> None:
-    """Check a crossing by his tests, with code of its own."""
+    """Check a crossing by his tests, in separate code."""
     length, width, _ = PROFILE.body.size
     feet, body, due = STANCE.feet.copy(), STANCE.body, 0
     for step in crossing.steps:
