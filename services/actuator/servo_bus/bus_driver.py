@@ -410,12 +410,14 @@ class ServoBus:
         """
         urgent = sorted(dict.fromkeys((*first, *self._again)), key=lambda i: (i not in first, i not in self._again))
         others = [i for k in range(len(self)) if (i := (self._next + k) % len(self)) not in urgent]
-        most_ns = (self._overdue_ns, _DOUBTFUL_NS)
-        late = [
-            i for i in (*urgent, *others) if now_ns - self._asked_ns[i] > most_ns[int(self.missed[i] > 0)] and i not in first
-        ]
+        late = [i for i in (*urgent, *others) if i not in first and self._is_late(i, now_ns)]
         late = sorted(late, key=lambda i: (self.missed[i] == 0, self._asked_ns[i]))[: self._most_late]
         return deque(dict.fromkeys((*late, *urgent, *others))), others
+
+    def _is_late(self, index: int, now_ns: int) -> bool:
+        """Return whether a request to a servo is late. One that has been silent for long waits for its rare turns instead."""
+        most_ns = _DOUBTFUL_NS if self.missed[index] else self._overdue_ns
+        return not self._skips[index] and now_ns - self._asked_ns[index] > most_ns
 
     def _look(self, index: int, end_ns: int, *, heard: bool = False) -> Generator[None, None, ServoReading | None]:
         """Read one servo until its answer is plausible; `heard` tells whether it has just answered.

@@ -121,6 +121,21 @@ def test_silent_servo_shows_while_landing_legs_take_the_time_of_the_bus() -> Non
         assert cycles <= 30
 
 
+def test_dead_servo_does_not_take_the_turns_of_the_others() -> None:
+    legs, unread = _Legs(), np.zeros(18, dtype=int)
+    legs.bus.set_torque(True)
+    legs.now_ns = legs.port.now_ns() + 20_000_000
+    legs.silent, goals, longest = 9, np.full(18, _CENTRE), np.zeros(18, dtype=int)
+    for k in range(200):
+        unread += 1
+        for one in legs.cycle((goals + k % 40).tolist(), first=(1, 7, 13)):
+            unread[one.index] = 0
+        if k >= 60:
+            longest = np.maximum(longest, unread)
+    assert legs.bus.missed[8] >= SILENT
+    assert np.delete(longest, 8).max() <= 30
+
+
 def test_voltage_and_temperature_of_each_servo_are_read_in_turn() -> None:
     legs = _Legs(6)
     legs.bus.set_torque(True)
