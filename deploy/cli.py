@@ -17,11 +17,11 @@ from sextant.deploy.commands.camera import camera
 from sextant.deploy.commands.common import InputError, complain, say
 from sextant.deploy.commands.drive import drive
 from sextant.deploy.commands.facts import doctor
+from sextant.deploy.commands.figures import figures
 from sextant.deploy.commands.fleet import fleet
 from sextant.deploy.commands.keys import keys
 from sextant.deploy.commands.order import order
 from sextant.deploy.commands.plan import plan
-from sextant.deploy.commands.plots import plot
 from sextant.deploy.commands.recordings import record, recording
 from sextant.deploy.commands.robot import robot
 from sextant.deploy.commands.service import service
@@ -44,6 +44,7 @@ _MOVED = {
     "foxglove": ("topics", "foxglove"),
     "ros2": ("topics", "ros2"),
     "compose": ("service", "compose"),
+    "plot": ("figures", "run"),
 }
 _TO_BENCHMARKS = {"bench": (), "faults": ("faults",), "fuzz": ("fuzz",)}  # commands that have moved out of the package
 
@@ -95,7 +96,7 @@ click.option("--version", is_flag=True, is_eager=True, expose_value=False, callb
     sextant
 )
 for _command in (
-    *(demo, run, trials, table, up, fleet, order, drive, plan, record, video, plot),
+    *(demo, run, trials, table, up, fleet, order, drive, plan, record, video, figures),
     *(keys, recording, service, topics, robot, servos, camera, doctor),
     *(_moved_to_benchmarks(name, new) for name, new in _TO_BENCHMARKS.items()),
 ):

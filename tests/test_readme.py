@@ -19,7 +19,8 @@ from benchmarks.fuzz import table as fuzz_table
 from benchmarks.robot import fleet, link
 from sextant.deploy import cli
 from sextant.deploy.terminal.arguments import parse
-from sextant.evaluation.trials import passage_table, results_store
+from sextant.evaluation.theses import planner_table
+from sextant.evaluation.trials import passage_table, results_store, table_text
 from sextant.evaluation.trials.campaign_table import WALKED, Campaign, markdown, of_runs
 
 ROOT = Path(__file__).parents[1]
@@ -77,7 +78,10 @@ RUN_BY = {
     "test_foxglove_server_advertises_channels_and_sends_subscribed",
     "recording export": "tests/unit/evaluation/viewers/test_viewers.py::test_recording_is_exported_to_rerun",
     "recording export FILE": "tests/unit/evaluation/viewers/test_file_export.py::test_exported_grid_map_is_ground",
-    "plot": "tests/unit/evaluation/figures/test_run_figures.py::test_plot_command_draws_requested_figures_and_comparison",
+    "figures run": "tests/unit/evaluation/figures/test_run_figures.py::"
+    "test_figures_command_draws_requested_figures_and_comparison",
+    "figures masri": "tests/unit/evaluation/theses/test_gallery.py::test_command_draws_table_6_1_and_its_index",
+    "figures lotriet": "tests/unit/evaluation/theses/test_gallery.py::test_list_names_each_figure",
     "up --camera": "tests/live/test_camera.py::test_onboard_services_publish_images_and_report_missing_camera",
     "up --connect": "tests/live/test_live_walk.py::test_onboard_and_offboard_start_in_either_order",
     "up --set": "tests/live/test_camera.py::test_onboard_services_publish_images_and_report_missing_camera",
@@ -150,7 +154,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def way_of_running(words: list[str]) -> str:
     """Return the key in RUN_BY of a `sextant` command."""
     pairs = (["trials", "all"], ["trials", "passages"], ["trials", "troubles"], ["trials", "table"], ["demo", "gap"])
-    groups = ("topics", "benchmarks", "servos", "keys", "recording", "service", "robot", "camera")
+    groups = ("topics", "benchmarks", "servos", "keys", "recording", "service", "robot", "camera", "figures")
     group = words[:2] if words[0] in groups or words[:2] in pairs else words[:1]
     ways = [
         word
@@ -265,6 +269,11 @@ def test_passage_tables_match_command_output() -> None:
     for printed in (markdown(of_runs(runs), "passages"), passage_table.markdown(runs), drawn):
         for words in printed.splitlines():
             assert words in text
+
+
+def test_planner_table_matches_command_output() -> None:
+    text = (ROOT / "docs" / "results_gaps.md").read_text(encoding="utf-8")
+    assert table_text.markdown(planner_table.content(*planner_table.read(ROOT / "docs" / "table_6_1.json"))) in text
 
 
 def test_outage_table_matches_command_output() -> None:

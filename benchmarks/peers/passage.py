@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers.passage_checker import violations
-from benchmarks.peers.passage_masri import Crossing, MasriPlanner
 from benchmarks.peers.passage_ompl import BodyPlanner
 from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, heights, random_blocks, thesis_blocks
 from benchmarks.peers.timing import Race, Timing, installed, one_core
+from sextant.evaluation.baselines.masri_planner import Crossing, MasriPlanner
 from sextant.evaluation.scoring.passage_truth import stance_at
 from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search

@@ -22,7 +22,7 @@ after Ctrl-C. `--json` prints the result for scripts. A link leads to the argume
 _OF_SEXTANT = (  # end of a page's name, its title and its commands
     ("walk", "walks in simulation", ("demo", "run", "plan", "trials", "trials table")),
     ("robot", "operation of a robot", ("up", "fleet", "order", "drive", "service", "doctor")),
-    ("recordings", "recordings and figures", ("record", "video", "plot", "recording")),
+    ("recordings", "recordings and figures", ("record", "video", "figures", "recording")),
     ("network", "topics and certificates", ("keys", "topics")),
     ("servos", "servos", ("servos",)),
     ("hardware", "camera and robot profiles", ("robot", "camera")),

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+LOOK: Any = {"axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "sextant"}  # of every figure
 _SMALLEST = 0.6  # least factor of text and lines, so that 12 pt becomes no less than 7.2 pt
 _BASE_PT = 12.0  # [pt] size of text for which none is set
 

@@ -62,8 +62,7 @@ def draw(name: str, runs: Runs, path: Path, width_in: float | None = None, data:
     """
     from matplotlib import rc_context
 
-    look: Any = {"font.size": 12, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "sextant"}
-    with rc_context(look):
+    with rc_context(paper.LOOK | {"font.size": 12}):
         figure = None if misfit(name, len(runs)) else FIGURES[name].draw(runs)
         if figure is None:
             return False

@@ -109,6 +109,15 @@ class Roadmap:
         """Return the number of generated configurations so far (n_g)."""
         return self._generated_before + int(self._tree.counts[roadmap_search.NODES])
 
+    @property
+    def expanded_nodes(self) -> int:
+        """Return the number of different configurations that were expanded so far, each counted once.
+
+        `expanded` counts each expansion of a configuration, and each one that fails its tests.
+        """
+        n = int(self._tree.counts[roadmap_search.NODES])
+        return self._nodes_before + int(np.count_nonzero(self._tree.state[:n] == roadmap_search.PROVEN))
+
     def sampled(self, rng: np.random.Generator, n: int) -> list[Stance]:
         """Return n random stances of the current tree, for the benchmark."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
@@ -135,7 +144,7 @@ class Roadmap:
         self._yaw = round(stance.yaw / self._rules.yaw_step) if turning else 0
         self._root = self._repaired(stance)
         self._tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)
-        self._tries = self._expanded_before = self._generated_before = 0
+        self._tries = self._expanded_before = self._generated_before = self._nodes_before = 0
         self._fails = np.zeros(roadmap_search.TESTS, dtype=np.int64)
         self._best: _Furthest | None = None
         self._plant()
@@ -166,6 +175,7 @@ class Roadmap:
             elif ended:
                 self._note_furthest()
                 self._expanded_before, self._generated_before = self.expanded, self.generated
+                self._nodes_before = self.expanded_nodes
                 self._tries += 1
                 self._plant()
         return self._outcome

@@ -565,6 +565,13 @@ def test_moved_command_still_runs_and_prints_hint(words: list[str], capsys: pyte
     assert error.startswith(f"sextant recording {words[0]}: nowhere.mcap")
 
 
+def test_plot_still_draws_and_prints_hint(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["plot", "--list"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith("summary")
+    assert printed.err == "`sextant plot` is now `sextant figures run`\n"
+
+
 def test_docs_command_names_its_successor(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["topics", "docs", "keys"]) == 2
     assert "is now `python -m docs.reference`; run it in a checkout" in capsys.readouterr().err
@@ -630,7 +637,7 @@ def test_shell_completes_commands_options_and_choices(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for words, expected in (
-        ("sextant plo", "plot"),
+        ("sextant fig", "figures"),
         ("sextant run --lock", "--lockstep"),
         ("sextant run --gait wa", "wave"),
         ("sextant run cob", "cobbles"),

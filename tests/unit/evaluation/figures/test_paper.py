@@ -79,7 +79,7 @@ def test_data_of_every_figure_can_be_written(good, tmp_path):
 def test_command_draws_columns_and_writes_data(kept, story, scenario, tmp_path, capsys):
     run = str(kept("good", story(moved_leg=2, drift=0.02, bob=0.001)))
     out = tmp_path / "out"
-    words = ["plot", run, "--scenario", scenario, "--width", "89mm", "--csv", "--format", "png", "--out", str(out)]
+    words = ["figures", "run", run, "--scenario", scenario, "--width", "89mm", "--csv", "--format", "png", "--out", str(out)]
     assert cli.main(words) == 0
     assert "height.png" in capsys.readouterr().out
     assert {path.stem for path in out.iterdir()} == set(SCALED)
@@ -95,13 +95,13 @@ def test_command_draws_columns_and_writes_data(kept, story, scenario, tmp_path, 
 )
 def test_wrong_width_is_refused(words, message, kept, story, scenario, capsys):
     run = str(kept("good", story(moved_leg=2, drift=0.02, bob=0.001)))
-    assert cli.main(["plot", run, "--scenario", scenario, *words]) == 2
+    assert cli.main(["figures", "run", run, "--scenario", scenario, *words]) == 2
     printed = capsys.readouterr()
     assert message in printed.err
     assert len(printed.err.splitlines()) == 1
 
 
 def test_command_knows_which_figures_scale():
-    from sextant.deploy.commands.plots import _SCALED
+    from sextant.deploy.commands.figures import _SCALED
 
     assert list(_SCALED) == SCALED

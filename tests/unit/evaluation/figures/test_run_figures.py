@@ -147,28 +147,31 @@ def test_comparison_table_shows_report_values_or_dash(good, fallen):
 
 
 @pytest.mark.slow
-def test_plot_command_draws_requested_figures_and_comparison(story, kept, scenario, tmp_path, capsys):
+def test_figures_command_draws_requested_figures_and_comparison(story, kept, scenario, tmp_path, capsys):
     good, fallen = kept("good", story(moved_leg=2, drift=0.02, bob=0.001)), kept("fallen", story(topple_s=4.0, bob=0.003))
     out = ["--scenario", scenario, "--out", str(tmp_path / "plots")]
-    assert cli.main(["plot", str(good), str(fallen), "--what", "height", "--what", "footholds", "--format", "pdf", *out]) == 0
+    assert (
+        cli.main(["figures", "run", str(good), str(fallen), "--what", "height", "--what", "footholds", "--format", "pdf", *out])
+        == 0
+    )
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == ["footholds.pdf", "height.pdf"]
     printed = capsys.readouterr()
     assert "|  | good | fallen |" in printed.out
     assert printed.err == ""
-    assert cli.main(["plot", str(good), "--what", "layers", "--json", *out]) == 0
+    assert cli.main(["figures", "run", str(good), "--what", "layers", "--json", *out]) == 0
     assert json.loads(capsys.readouterr().out)["good"]["scenario"] == "story"
     # An empty figure is a failure, and a truncated recording is drawn up to its end.
-    assert cli.main(["plot", str(good), "--what", "passage", *out]) == 1
+    assert cli.main(["figures", "run", str(good), "--what", "passage", *out]) == 1
     assert "no data for passage" in capsys.readouterr().err
     part = tmp_path / "part.mcap"
     whole = (good / "recording.mcap").read_bytes()
     part.write_bytes(whole[: len(whole) * 2 // 3])
-    assert cli.main(["plot", str(part), "--what", "torque", *out]) == 0
+    assert cli.main(["figures", "run", str(part), "--what", "torque", *out]) == 0
     assert "part.mcap is truncated; only its readable part is drawn" in capsys.readouterr().err
 
 
-def test_plot_command_lists_figures(capsys):
-    assert cli.main(["plot", "--list"]) == 0
+def test_figures_command_lists_figures(capsys):
+    assert cli.main(["figures", "run", "--list"]) == 0
     listed = [re.split(r"\s{2,}", line) for line in capsys.readouterr().out.splitlines()]
     assert [name for name, _ in listed] == list(FIGURES)
     assert all(words == FIGURES[name].shows for name, words in listed)
@@ -177,11 +180,11 @@ def test_plot_command_lists_figures(capsys):
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
-        (["plot"], "the folder of a run expected, found none"),
-        (["plot", "nowhere.mcap"], "give the recording.mcap of a run's folder"),
-        (["plot", "nowhere", "--what", "table"], "table compares runs, at least 2 expected, found 1"),
-        (["plot", "nowhere", "anywhere", "--what", "summary"], "summary shows one run, found 2"),
-        (["plot", "nowhere", "--what", "heigth"], "no figure 'heigth'; did you mean 'height'"),
+        (["figures", "run"], "the folder of a run expected, found none"),
+        (["figures", "run", "nowhere.mcap"], "give the recording.mcap of a run's folder"),
+        (["figures", "run", "nowhere", "--what", "table"], "table compares runs, at least 2 expected, found 1"),
+        (["figures", "run", "nowhere", "anywhere", "--what", "summary"], "summary shows one run, found 2"),
+        (["figures", "run", "nowhere", "--what", "heigth"], "no figure 'heigth'; did you mean 'height'"),
     ],
     ids=["none", "no such", "one run", "two runs", "no figure"],
 )

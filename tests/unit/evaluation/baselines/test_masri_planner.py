@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.passage import HEIGHT, ground
-from benchmarks.peers.passage_masri import SECTIONS, Crossing, MasriPlanner
 from benchmarks.peers.passage_strips import BEYOND, FLOOR, GAP, NEAR, START, heights
+from sextant.evaluation.baselines.masri_planner import SECTIONS, Crossing, MasriPlanner
 from sextant.evaluation.scoring.passage_truth import stance_at
 from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap.strip_map import StripMap

@@ -49,6 +49,16 @@ class Crossing:
     expanded: tuple[int, ...]  # n_e of each section
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """Result of planning one section."""
+
+    steps: tuple[PassageStep, ...]
+    end: Stance | None  # None without a plan
+    generated: int  # n_g
+    expanded: int  # n_e
+
+
 class _Strip(NamedTuple):
     """The ground, and how far to go."""
 
@@ -110,18 +120,24 @@ class MasriPlanner:
         span = (goal_x - float(stance.body[0])) / SECTIONS
         for section in range(SECTIONS):
             goal = goal_x if section == SECTIONS - 1 else float(stance.body[0]) + span
-            counts, last = np.zeros(2, dtype=np.int64), -1
-            for attempt in range(_TRIES):
-                last = self._search(field, stance, goal, counts, _TRIES * (SECTIONS * seed + section) + attempt)
-                if last >= 0:
-                    break
-            generated.append(int(counts[0]))
-            expanded.append(int(counts[1]))
-            if last < 0:
+            found = self.plan_section(field, stance, goal, SECTIONS * seed + section)
+            generated.append(found.generated)
+            expanded.append(found.expanded)
+            steps += found.steps
+            if found.end is None:
                 return Crossing(tuple(steps), False, tuple(generated), tuple(expanded))
-            steps += self._steps_to(field, last)
-            stance = Stance(self._tree.body[last].copy(), self._tree.feet[last].copy())
+            stance = found.end
         return Crossing(tuple(steps), True, tuple(generated), tuple(expanded))
+
+    def plan_section(self, field: StripMap, stance: Stance, goal_x: float, seed: int) -> Section:
+        """Plan one section, from a stance to a body at x = `goal_x` [m] {strip}."""
+        counts = np.zeros(2, dtype=np.int64)
+        for attempt in range(_TRIES):
+            last = self._search(field, stance, goal_x, counts, _TRIES * seed + attempt)
+            if last >= 0:
+                end = Stance(self._tree.body[last].copy(), self._tree.feet[last].copy())
+                return Section(tuple(self._steps_to(field, last)), end, int(counts[0]), int(counts[1]))
+        return Section((), None, int(counts[0]), int(counts[1]))
 
     def _search(self, field: StripMap, stance: Stance, goal_x: float, counts: NDArray[np.int64], seed: int) -> int:
         """Return the index of the configuration at the goal, -1 without one."""

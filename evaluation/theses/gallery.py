@@ -1,0 +1,139 @@
+"""Folder of a thesis' figures: a PNG and an SVG of each, an index in Markdown, and all numbers in figures.json."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from sextant.evaluation.figures import paper
+from sextant.evaluation.provenance import commit
+from sextant.evaluation.theses.data import Data
+from sextant.evaluation.theses.inventory import Entry, Thesis
+from sextant.evaluation.trials import table_text
+from sextant.evaluation.trials.table_text import Table
+from sextant.shared.files import whole_files
+
+INDEX, NUMBERS = "README.md", "figures.json"
+_ROW_IN, _HEAD_IN = 0.19, 0.30  # [in] height of a row of the table below a figure, and of its head
+_DPI = 160
+_SUFFIXES = ("png", "svg")
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A figure with our values of its printed numbers."""
+
+    entry: Entry
+    ours: tuple[str, ...]
+
+
+def draw_all(
+    thesis: Thesis, entries: Sequence[Entry], folder: Path, data: Data, say: Callable[[str], object] = lambda _: None
+) -> list[Drawn]:
+    """Draw some entries of a thesis into a folder, and write its index.
+
+    Args:
+        thesis: The thesis.
+        entries: Those to draw; entries without data are only listed.
+        folder: Output folder; figures of other entries in it stay.
+        data: Walks, maps and plans.
+        say: Receives progress.
+    """
+    whole_files.make_folder(folder)
+    drawn = []
+    for entry in entries:
+        if entry.draw is None:
+            continue
+        drawn.append(Drawn(entry, draw(entry, folder, data)))
+        say(f"{entry.title}: {entry.shows}")
+    whole_files.write_text(folder / NUMBERS, to_json(thesis, drawn, data))
+    whole_files.write_text(folder / INDEX, index(thesis, drawn))
+    return drawn
+
+
+def draw(entry: Entry, folder: Path, data: Data) -> tuple[str, ...]:
+    """Draw one entry as PNG and SVG, its numbers below it; return our values."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    assert entry.draw is not None
+    width, height = entry.size
+    rows = len(entry.printed)
+    below = (_HEAD_IN + _ROW_IN * (rows + 1)) * (rows > 0)
+    with rc_context(paper.LOOK | {"font.size": 9, "axes.titlesize": 9, "legend.fontsize": 8, "legend.frameon": False}):
+        figure = Figure(figsize=(width, height + below), dpi=_DPI, facecolor="white", layout="constrained")
+        if rows:
+            parts: Any = figure.subfigures(2, 1, height_ratios=(height, below))
+            above, under = parts
+            ours = tuple(entry.draw(above, data))
+            _draw_numbers(under, entry, ours)
+        else:
+            ours = tuple(entry.draw(figure, data))
+        if len(ours) != rows:
+            raise ValueError(f"{entry.title}: {rows} values expected, found {len(ours)}")
+        for suffix in _SUFFIXES:
+            undated: Any = {"Date": None} if suffix == "svg" else None
+            path = folder / f"{entry.name}.{suffix}"
+            whole_files.write_by_name(path, partial(figure.savefig, metadata=undated))
+    return ours
+
+
+def index(thesis: Thesis, drawn: Sequence[Drawn]) -> str:
+    """Return the index: each figure with its picture, or the reason why there is none, and all numbers."""
+    made = {one.entry.number: one for one in drawn}
+    rows = [_row(entry, entry.number in made) for entry in thesis.entries]
+    listed = table_text.markdown(Table(["", "shows", "picture", "our data, or why there is no picture"], rows))
+    compared = table_text.markdown(Table(["", "quantity", "thesis", "here"], _compared(drawn)))
+    return f"# {thesis.title}\n\n{listed}\n## Numbers\n\n{compared}\nMade at commit {commit() or 'unknown'}.\n"
+
+
+def to_json(thesis: Thesis, drawn: Sequence[Drawn], data: Data) -> str:
+    """Return the inventory and the numbers as JSON."""
+    made = {one.entry.number: one.ours for one in drawn}
+    entries = [
+        {
+            "number": entry.number,
+            "shows": entry.shows,
+            "files": [f"{entry.name}.{suffix}" for suffix in _SUFFIXES] if entry.number in made else [],
+            "ours": entry.ours,
+            "why_not": entry.why_not,
+            "numbers": [
+                {"quantity": printed.quantity, "thesis": printed.value, "here": here}
+                for printed, here in zip(entry.printed, made.get(entry.number, ()), strict=False)
+            ],
+        }
+        for entry in thesis.entries
+    ]
+    return json.dumps({"thesis": thesis.title, "commit": commit(), "seed": data.seed, "figures": entries}, indent=1) + "\n"
+
+
+def _row(entry: Entry, drawn: bool) -> list[str]:
+    picture = f"[png]({entry.name}.png), [svg]({entry.name}.svg)" if drawn else "-"
+    return [entry.title, entry.shows, picture, entry.why_not or entry.ours]
+
+
+def _compared(drawn: Sequence[Drawn]) -> list[list[str]]:
+    return [
+        [one.entry.title, printed.quantity, printed.value, here]
+        for one in drawn
+        for printed, here in zip(one.entry.printed, one.ours, strict=True)
+    ]
+
+
+def _draw_numbers(figure: Any, entry: Entry, ours: Sequence[str]) -> None:
+    """Draw the printed numbers next to ours."""
+    axes = figure.subplots()
+    axes.set_axis_off()
+    rows = [(printed.quantity, printed.value, here) for printed, here in zip(entry.printed, ours, strict=True)]
+    drawn = axes.table(
+        [("", "thesis", "here"), *rows], loc="center", cellLoc="left", edges="horizontal", colWidths=(0.4, 0.3, 0.3)
+    )
+    drawn.auto_set_font_size(False)
+    drawn.set_fontsize(8)
+    for (row, _), cell in drawn.get_celld().items():
+        cell.set_height(1.0 / (len(rows) + 1))
+        cell.set_linewidth(0.5)
+        if row == 0:
+            cell.get_text().set_weight("bold")
