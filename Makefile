@@ -16,7 +16,7 @@ install = $(PIP) install --constraint constraints.txt --editable '.[$(1)]' 2>$(V
 	then echo "No package index is reachable, so $(VENV) cannot be set up: connect this machine, or set PIP_INDEX_URL to a mirror ($(VENV)/pip.log)." >&2; \
 	else cat $(VENV)/pip.log >&2; fi; exit 2; }
 
-.PHONY: demo test docs wheel check compiled live others campaign format clean
+.PHONY: demo test docs wheel check compiled live others rare campaign format clean
 
 demo: $(VENV)/.installed-all
 	@$(BIN)/sextant demo
@@ -46,8 +46,13 @@ others: $(VENV)/.installed-dev
 		--give-way=$(VENV)/.live
 
 # What is rare and long: one test after the other, since some are live.
-campaign: $(VENV)/.installed-dev
+rare: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -q -m campaign
+
+# What README and docs claim and the present code has not shown: docs/evidence.md.
+campaign: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks campaign --run --jobs $(JOBS) $(if $(HOURS),--hours $(HOURS))
+	$(BIN)/python -m docs.reference results
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 
 from benchmarks.commands.benches import benchmarks
+from benchmarks.commands.campaign import campaign
 from benchmarks.commands.faults import faults
 from benchmarks.commands.fuzz import fuzz
 from sextant.deploy.terminal.run_command import run_command
@@ -12,6 +13,7 @@ __all__ = ["PROGRAM", "benchmarks", "main"]
 
 PROGRAM = "python -m benchmarks"
 
+benchmarks.add_command(campaign)
 benchmarks.add_command(faults)
 benchmarks.add_command(fuzz)
 

@@ -47,13 +47,13 @@ class Made:
 
 
 def commit() -> str:
-    """Return the commit of this checkout, with a plus if files have changed.
+    """Return the commit of this checkout, with a plus if files have changed, other than those in docs/.
 
     Without a checkout it is the version of the package.
     """
     try:
         head = _git(_ROOT, "rev-parse", "--short=7", "HEAD")
-        changed = _git(_ROOT, "status", "--porcelain", "--untracked-files=no")
+        changed = _git(_ROOT, "status", "--porcelain", "--untracked-files=no", "--", ".", ":(exclude)docs")
     except (OSError, subprocess.CalledProcessError):  # no git, or no checkout
         return f"version {version()}" if version() else ""
     return head + ("+" if changed else "")

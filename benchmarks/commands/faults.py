@@ -13,7 +13,12 @@ _PHASES, _LIVE_PHASES = 300, 30
 
 
 @command()
-@argument("names", "faults to inject, also by patterns such as 'camera-*-steps' (default: all)", "[FAULT]...", nargs=-1)
+@argument(
+    "names",
+    "faults to inject, also by patterns such as 'camera-*-steps', or a table: robot, legs, camera, live (default: all)",
+    "[FAULT]...",
+    nargs=-1,
+)
 @flag("--live", "inject the faults that need live processes over Zenoh, not those in lockstep")
 @option("--phases", "injections of each fault (default: 300, live 30)", "N", type=options.POSITIVE)
 @flag("--list", "list the faults and exit", "listed")
@@ -32,10 +37,11 @@ def faults(
     as_json: bool,
 ) -> int:
     """Inject faults at many phases of a step, and check the robot's reaction."""
-    from benchmarks.faults.cases import BY_NAME, CAMERA_CASES, CASES, LIVE_CASES
+    from benchmarks.faults.cases import BY_NAME, CAMERA_CASES, CASES, GRIDS, LIVE_CASES
     from benchmarks.faults.fault_run import SCENARIO
 
-    names = tuple(match for name in names for match in fnmatch.filter(BY_NAME, name) or [name])
+    of_grid = {grid: [case.name for case in cases] for grid, cases in GRIDS.items()}
+    names = tuple(match for name in names for match in of_grid.get(name) or fnmatch.filter(BY_NAME, name) or [name])
     unknown = [name for name in names if name not in BY_NAME]
     if unknown:
         near = difflib.get_close_matches(unknown[0], BY_NAME, 1)

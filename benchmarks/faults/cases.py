@@ -3,6 +3,7 @@
 A number without a limit is infinite. Times count from the start of the fault unless stated otherwise.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Literal
@@ -460,4 +461,11 @@ def _cases(course: str) -> tuple[Case, ...]:
 
 
 CAMERA_CASES = tuple(case for course in COURSES for case in _cases(course))
+_LYING = ("servo-slipped", "servo-jump", "servo-drift", "servo-bit", "servo-sign", "servo-weak")
+GRIDS: Mapping[str, tuple[Case, ...]] = {  # that the documentation has a table of
+    "robot": tuple(case for case in CASES if case.name not in _LYING),
+    "legs": tuple(case for case in CASES if case.name in _LYING),  # that report a wrong state
+    "camera": CAMERA_CASES,
+    "live": LIVE_CASES,
+}
 BY_NAME = {case.name: case for case in (*CASES, *LIVE_CASES, *CAMERA_CASES)}

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from docs.reference import commands_page, keys_page, params_page, schema_pages, terrain_pictures
+from docs.reference import commands_page, keys_page, params_page, results_pages, schema_pages, terrain_pictures
 from sextant.deploy.terminal.arguments import Choice, argument, command
 from sextant.deploy.terminal.output import say
 from sextant.deploy.terminal.run_command import SUCCESS, run_command
@@ -20,6 +20,7 @@ PAGES: dict[str, Callable[[], dict[str, str]]] = {  # of each kind: names of its
     "profiles": schema_pages.profiles,
     "report": lambda: {"report": schema_pages.report()},
 }
+_RESULTS = "results"
 
 
 def texts_of(kind: str) -> dict[str, str]:
@@ -28,10 +29,18 @@ def texts_of(kind: str) -> dict[str, str]:
 
 
 @command("python -m docs.reference")
-@argument("kinds", "kinds of pages to write (default: all)", "[KIND]...", type=Choice(tuple(PAGES)), nargs=-1)
+@argument("kinds", "kinds of pages to write (default: all)", "[KIND]...", type=Choice((*PAGES, _RESULTS)), nargs=-1)
 def write(kinds: tuple[str, ...]) -> int:
-    """Write reference pages into docs/, made from the code; with `scenarios` also the pictures of the terrains."""
-    for kind in kinds or PAGES:
+    """Write reference pages into docs/, made from the code; with `scenarios` also the pictures of the terrains.
+
+    The kind `results` writes the tables of results, made from the data in docs/.
+    """
+    for kind in kinds or (*PAGES, _RESULTS):
+        if kind == _RESULTS:
+            for path, text in results_pages.pages(FOLDER.parent).items():
+                whole_files.write_text(path, text)
+                say(path.relative_to(FOLDER.parent).as_posix())
+            continue
         for name, text in texts_of(kind).items():
             whole_files.write_text(FOLDER / f"{name}.md", text)
             say(f"docs/{name}.md")

@@ -43,7 +43,7 @@ _OF_BENCHMARKS = (
         "servos and faults of the robot",
         ("servos", "bus", "checksums", "cycle", "calibration", "naming", "slow-core", "start", "faults"),
     ),
-    ("system", "radio, load and resources", ("fleet", "link", "page", "recording", "soak", "size")),
+    ("system", "the campaign, radio, load and resources", ("campaign", "fleet", "link", "page", "recording", "soak", "size")),
 )
 
 

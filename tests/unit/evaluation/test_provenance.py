@@ -26,6 +26,10 @@ def test_commit_of_checkout_marks_uncommitted_changes(tmp_path, monkeypatch):
     monkeypatch.setattr(provenance, "_ROOT", tmp_path)
     head = git("rev-parse", "HEAD")
     assert provenance.commit() == head[:7]
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "runs.jsonl").write_text("1\n")
+    git("add", "docs")
+    assert provenance.commit() == head[:7]  # kept data do not change the program
     seeds = provenance.seeds_of_commit(100)
     assert len(set(seeds)) == 100
     assert seeds == provenance.seeds_of_commit(100)

@@ -1,0 +1,1 @@
+"""Campaign: runs again what the documentation claims, and says which claims hold by the present code."""

@@ -1,0 +1,87 @@
+"""Tables of results, written into pages at their marks, from the data in docs/ alone.
+
+A mark is a comment with the files and the kind of table; the table replaces all up to the end mark:
+
+    <!-- table: campaign.jsonl --of walks -->
+    <!-- end of table -->
+
+Kinds are those of `sextant trials table --of`; `--rows` keeps only the rows of the table. Other data have one table each.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from benchmarks.access import strangers
+from benchmarks.campaign import evidence, table
+from benchmarks.campaign.part import load
+from benchmarks.faults import table as fault_table
+from benchmarks.fuzz import table as fuzz_table
+from benchmarks.robot import fleet, link
+from sextant.evaluation.theses import planner_table
+from sextant.evaluation.trials import passage_table, results_store, table_text
+from sextant.evaluation.trials.campaign_table import markdown, of_runs
+
+DOCS = Path(__file__).parents[1]
+_MARK = re.compile(r"(<!-- table: ([^\n]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+
+
+def _faults(text: str) -> str:
+    return fault_table.markdown(fault_table.from_json(text))
+
+
+_TABLES: Mapping[str, Callable[[str], str]] = MappingProxyType(
+    {
+        "cuts.json": lambda text: link.cuts_in_words(link.cuts_from_json(text)),
+        "link_walks.json": lambda text: link.walks_in_words(link.walks_from_json(text)),
+        "strangers.json": lambda text: strangers.in_words(strangers.from_json(text)),
+        "fleet.json": lambda text: fleet.in_words(fleet.from_json(text)),
+        "fuzz.json": lambda text: fuzz_table.markdown(fuzz_table.from_json(text)),
+        "faults.json": _faults,
+        "faults_camera.json": _faults,
+        "faults_legs.json": _faults,
+        "faults_live.json": _faults,
+        "table_6_1.json": lambda _: table_text.markdown(planner_table.content(*planner_table.read(DOCS / "table_6_1.json"))),
+        "evidence.json": lambda _: table.page(load(), evidence.read()),
+    }
+)
+
+
+def pages(folder: Path = DOCS.parent) -> dict[Path, str]:
+    """Return the README and the pages of docs/ with tables, each with the tables that the data give.
+
+    Args:
+        folder: Folder of the README and of docs/.
+
+    Raises:
+        ValueError: A mark names no data, or no table of them.
+    """
+    texts = {path: path.read_text(encoding="utf-8") for path in (folder / "README.md", *sorted((folder / "docs").glob("*.md")))}
+    return {path: filled(text) for path, text in texts.items() if _MARK.search(text)}
+
+
+def filled(text: str) -> str:
+    """Return a page with a table at each of its marks."""
+    return _MARK.sub(lambda found: f"{found[1]}\n{_table(found[2].split())}\n\n{found[3]}", text)
+
+
+def _table(words: list[str]) -> str:
+    files = [word for word in words if word.endswith((".json", ".jsonl"))]
+    missing = [name for name in files if not (DOCS / name).is_file()]
+    if missing or not files:
+        raise ValueError(f"a file in docs/ expected in a mark of a table, found {missing[0] if missing else 'none'}")
+    if files[0] in _TABLES:
+        return _TABLES[files[0]]((DOCS / files[0]).read_text(encoding="utf-8")).strip()
+    kind = words[words.index("--of") + 1] if "--of" in words else "walks"
+    texts = [_of_trials(DOCS / name, kind) for name in files]
+    if "--rows" not in words:
+        return "\n".join(texts)
+    first, *others = ([row for row in text.splitlines() if row.startswith("|")] for text in texts)
+    return "\n".join([*first, *(row for rows in others for row in rows[2:])])
+
+
+def _of_trials(path: Path, kind: str) -> str:
+    runs = results_store.read(path)
+    text = passage_table.markdown(runs) if kind == "sections" else markdown(of_runs(runs), kind)
+    return text.strip()
