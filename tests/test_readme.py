@@ -90,6 +90,7 @@ RUN_BY = {
     "benchmarks accuracy": "tests/unit/benchmarks/test_bench.py::test_accuracy_command_writes_tables",
     "benchmarks speed": "tests/unit/benchmarks/test_bench.py::test_speed_command_writes_timings",
     "benchmarks passage": "tests/unit/benchmarks/test_bench.py::test_passage_command_writes_table",
+    "benchmarks maps": "tests/unit/benchmarks/test_map_building.py::test_maps_command_writes_table",
     "benchmarks stages": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
     "benchmarks stages --foothold": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
     "benchmarks cycle": "tests/unit/benchmarks/test_bench_cycle.py::test_cycle_command_times_standing_and_walking",

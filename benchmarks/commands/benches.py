@@ -94,6 +94,20 @@ def bench_stages(frames: int, seeds: range, foothold: str, out: str | None, as_j
     return _tell_bench(words, text, folder / "stages.json", as_json)
 
 
+@benchmarks.command("maps")
+@_frames
+@_seeds
+@options.out
+@options.as_json
+def bench_maps(frames: int, seeds: range, out: str | None, as_json: bool) -> int:
+    """Compare our map building with Masri's as published: pose, heights, footholds and time."""
+    from benchmarks.peers import map_building
+
+    folder = out_folder(out, "bench-maps")
+    built = map_building.measure(seeds, frames, say=open_progress(as_json).say)
+    return _tell_bench(map_building.in_words(built), map_building.to_json(built), folder / "maps.json", as_json)
+
+
 @benchmarks.command("passage")
 @_seeds
 @options.out

@@ -15,20 +15,18 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.evaluation.baselines.masri_mapping import WorldModel, cropped
 from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.acceptance import Acceptance
 from sextant.services.perception.registration.block_frame import BlockFrame
 from sextant.services.perception.registration.frame_registration import RegistrationMethod
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.services.perception.registration.registration_result import RegistrationResult
-from sextant.shared.geometry import Array, exp_so3, inverse, transform
+from sextant.shared.geometry import Array, inverse
 from sextant.shared.robot.profile import Camera
 from sextant.shared.runtime.compiled import compiled
 
 _OPEN3D_VOXEL, _OPEN3D_GATE, _OPEN3D_ITERATIONS = 0.03, 0.10, 30
-_THESIS_VOXEL, _THESIS_ITERATIONS, _THESIS_GATE = 0.05, 50, 0.15  # Masri 2016, section 4.2.1
-_THESIS_NEIGHBOURS = 12
-_CONVERGED = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,51 +218,16 @@ class _Open3d:
 
 
 class _Thesis:
-    """Masri 2016, section 4.2: frame-to-frame point-to-plane registration.
-
-    It uses a grid of centroids, and starts from the predicted motion.
-    """
+    """Masri 2016, section 4.2: each scan against the world model of all before, from the predicted motion."""
 
     def __init__(self, points: _Sampling):
-        from scipy.spatial import cKDTree
-
-        self._tree_of: Any = cKDTree
-        self._points = points
-        self._before: tuple[Any, Array, Array] | None = None  # tree, points and normals {world}
+        self._points, self._model = points, WorldModel()
 
     def update(
         self, depth_raw: NDArray[np.uint16], stamp_ns: int, T_world_camera_prior: Array, prior_covariance: Array
     ) -> RegistrationResult:
-        points = _centroids(self._points.of(depth_raw), _THESIS_VOXEL)
-        T = T_world_camera_prior
-        if self._before is not None:
-            tree, surface, normals = self._before
-            for _ in range(_THESIS_ITERATIONS):
-                moved = points @ T[:3, :3].T + T[:3, 3]
-                distance, nearest = tree.query(moved)
-                near = distance < _THESIS_GATE
-                p, n = moved[near], normals[nearest[near]]
-                J = np.concatenate([n, np.cross(p - T[:3, 3], n)], axis=1)
-                residual = np.einsum("ij,ij->i", p - surface[nearest[near]], n)
-                step = np.linalg.lstsq(J, -residual, rcond=1e-9)[0]
-                T = transform(exp_so3(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
-                if np.abs(step).max() < _CONVERGED:
-                    break
-        placed = points @ T[:3, :3].T + T[:3, 3]
-        tree = self._tree_of(placed)
-        _, around = tree.query(placed, _THESIS_NEIGHBOURS)
-        spread = placed[around] - placed[around].mean(axis=1, keepdims=True)
-        _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread))
-        self._before = tree, placed, axes[:, :, 0]
-        return _result(stamp_ns, T, prior_covariance)
-
-
-def _centroids(points: Array, voxel: float) -> Array:
-    """Return the mean (m, 3) [m] of the points (n, 3) in each voxel."""
-    cells = np.floor(points / voxel).astype(np.int64) + 4096
-    keys = (cells[:, 0] << 26) | (cells[:, 1] << 13) | cells[:, 2]
-    _, which, count = np.unique(keys, return_inverse=True, return_counts=True)
-    return np.asarray(np.stack([np.bincount(which, points[:, k]) for k in range(3)], axis=1) / count[:, None])
+        T = self._model.add(cropped(self._points.of(depth_raw)), T_world_camera_prior)
+        return _result(stamp_ns, T_world_camera_prior if T is None else T, prior_covariance)
 
 
 def _result(stamp_ns: int, T: Array, covariance: Array) -> RegistrationResult:

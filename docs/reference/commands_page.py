@@ -36,7 +36,7 @@ The benchmarks compare Sextant with other libraries, inject faults and attack it
 options of the benchmark.
 """
 _OF_BENCHMARKS = (
-    ("algorithms", "accuracy and speed of algorithms", ("accuracy", "speed", "stages", "plans", "passage")),
+    ("algorithms", "accuracy and speed of algorithms", ("accuracy", "speed", "stages", "maps", "plans", "passage")),
     ("attacks", "attacks", ("access", "strangers", "roles", "fuzz")),
     (
         "robot",

@@ -132,7 +132,7 @@ def first_place(
 
     Source: sections 6.2.3 and 6.3.
     """
-    cells = np.rint((xy - terrain.origin) / terrain.resolution).astype(int) + _squares(round(_SEARCH_M / terrain.resolution))
+    cells = np.rint((xy - terrain.origin) / terrain.resolution).astype(int) + squares(round(_SEARCH_M / terrain.resolution))
     cells = cells[((cells >= 0) & (cells < terrain.score.shape)).all(axis=1)]
     cells = cells[terrain.score[tuple(cells.T)] <= 1.0]  # NaN is unknown
     places = np.column_stack([terrain.origin + terrain.resolution * cells, terrain.elevation[tuple(cells.T)]])
@@ -145,7 +145,7 @@ def floor_height(ground: Array) -> float:
     return float(np.sort(ground)[-3:].mean())
 
 
-def _squares(n: int) -> NDArray[np.intp]:
+def squares(n: int) -> NDArray[np.intp]:
     """Return the cells (m, 2) around one, square by square up to n cells away."""
     offsets = np.stack(np.meshgrid(*2 * [np.arange(-n, n + 1)], indexing="ij"), -1).reshape(-1, 2)
     return np.asarray(offsets[np.argsort(np.abs(offsets).max(axis=1), kind="stable")])

@@ -24,10 +24,10 @@ SECTIONS = 3  # plans for one crossing, as in his experiments
 _ORDER = np.array([3, 2, 1, 4, 5, 0])  # of the pentapod gait: from rear to front on each side
 _MOVES, _FOOTHOLDS = 8, 8  # m and n
 _CYCLES = 14  # l
-_BODY_STEP = (0.0, 0.035)  # [m] d_bmin and d_bmax
-_BODY_ANGLE = math.radians(45.0)  # alpha
-_FOOT_STEP = (0.0, 0.25)  # [m] d_lmin and d_lmax
-_FOOT_ANGLE = math.radians(35.0)  # beta
+BODY_STEP = (0.0, 0.035)  # [m] d_bmin and d_bmax
+BODY_ANGLE = math.radians(45.0)  # alpha
+FOOT_STEP = (0.0, 0.25)  # [m] d_lmin and d_lmax
+FOOT_ANGLE = math.radians(35.0)  # beta
 _DRIFT = 0.12  # [m] Delta y
 _STRONG, _WEAKEST = -2, -1  # [cells] of F: a sample is used unchanged, and a local minimum carries a foot
 _APART = 0.06  # [m] between two feet
@@ -199,14 +199,14 @@ def search(strip: _Strip, robot: _Robot, tree: _Tree, counts: NDArray[np.int64],
             continue
         leg = _ORDER[tree.depth[node] % 6]
         for _ in range(_MOVES):  # (5.1) and (5.2)
-            step, angle = _between(_BODY_STEP[0], _BODY_STEP[1]), _within(_BODY_ANGLE)
+            step, angle = _between(BODY_STEP[0], BODY_STEP[1]), _within(BODY_ANGLE)
             moved[:] = tree.body[node]
             moved[0] += step * math.cos(angle)
             moved[1] += step * math.sin(angle)
             if abs(moved[1] - start_y) > _DRIFT or not _others_stand(robot, tree.feet[node], leg, moved):
                 continue
             for _ in range(_FOOTHOLDS):  # (5.3) and (5.4)
-                step, angle = _between(_FOOT_STEP[0], _FOOT_STEP[1]), _within(_FOOT_ANGLE)
+                step, angle = _between(FOOT_STEP[0], FOOT_STEP[1]), _within(FOOT_ANGLE)
                 goal[:] = tree.feet[node, leg]
                 goal[0] += step * math.cos(angle)
                 goal[1] += step * math.sin(angle)

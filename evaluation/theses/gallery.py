@@ -18,6 +18,7 @@ from sextant.shared.files import whole_files
 INDEX, NUMBERS = "README.md", "figures.json"
 _ROW_IN, _HEAD_IN = 0.19, 0.30  # [in] height of a row of the table below a figure, and of its head
 _DPI = 160
+_MOST_POINTS = 1000  # that an SVG holds as vectors
 _SUFFIXES = ("png", "svg")
 
 
@@ -73,6 +74,7 @@ def draw(entry: Entry, folder: Path, data: Data) -> tuple[str, ...]:
             ours = tuple(entry.draw(figure, data))
         if len(ours) != rows:
             raise ValueError(f"{entry.title}: {rows} values expected, found {len(ours)}")
+        _rasterize_clouds(figure)
         for suffix in _SUFFIXES:
             undated: Any = {"Date": None} if suffix == "svg" else None
             path = folder / f"{entry.name}.{suffix}"
@@ -122,14 +124,27 @@ def _compared(drawn: Sequence[Drawn]) -> list[list[str]]:
     ]
 
 
+def _rasterize_clouds(figure: Any) -> None:
+    """Let an SVG hold clouds of points and surfaces as pictures; as vectors they would take megabytes."""
+    for axes in figure.axes:
+        if axes.name == "3d":  # only the whole of it can be a picture
+            axes.set_rasterized(True)
+            continue
+        for one in axes.collections:
+            one.set_rasterized(len(one.get_offsets()) > _MOST_POINTS)
+        for line in axes.lines:
+            line.set_rasterized(line.get_linestyle() == "None" and len(line.get_xdata()) > _MOST_POINTS)
+
+
 def _draw_numbers(figure: Any, entry: Entry, ours: Sequence[str]) -> None:
     """Draw the printed numbers next to ours."""
     axes = figure.subplots()
     axes.set_axis_off()
     rows = [(printed.quantity, printed.value, here) for printed, here in zip(entry.printed, ours, strict=True)]
-    drawn = axes.table(
-        [("", "thesis", "here"), *rows], loc="center", cellLoc="left", edges="horizontal", colWidths=(0.4, 0.3, 0.3)
-    )
+    cells = [("", "thesis", "here"), *rows]
+    longest = [max(len(row[k]) for row in cells) + 3 for k in range(3)]
+    widths = [length / sum(longest) for length in longest]
+    drawn = axes.table(cells, loc="center", cellLoc="left", edges="horizontal", colWidths=widths)
     drawn.auto_set_font_size(False)
     drawn.set_fontsize(8)
     for (row, _), cell in drawn.get_celld().items():

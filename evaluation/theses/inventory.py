@@ -49,7 +49,22 @@ class Thesis:
     title: str
     entries: tuple[Entry, ...]
 
+    def __post_init__(self) -> None:
+        """Sort the entries: figures by chapter, then tables."""
+        object.__setattr__(self, "entries", tuple(sorted(self.entries, key=_order)))
+
 
 def numbers(*pairs: tuple[str, str]) -> tuple[Printed, ...]:
     """Return printed numbers from pairs of quantity and value."""
     return tuple(Printed(*pair) for pair in pairs)
+
+
+def undrawn(why_not: str, *entries: tuple[str, str]) -> list[Entry]:
+    """Return entries that are not drawn for one reason, from pairs of number and content."""
+    return [Entry(number, shows, why_not=why_not) for number, shows in entries]
+
+
+def _order(entry: Entry) -> tuple[bool, str, int]:
+    """Return the place of an entry in the inventory."""
+    chapter, _, number = entry.number.removeprefix("Table ").rpartition(".")
+    return entry.number.startswith("Table"), chapter.zfill(2), int(number)

@@ -40,7 +40,8 @@ def draw_walk(figure: Any, data: Data, scenario: str) -> list[str]:
     _draw_height(height, trace, published)
     _draw_tilt(tilt, trace, published)
     walk_picture.draw_one_foot(foot, trace, walk_picture.steadiest_leg(trace))
-    foot.legend(loc="upper left", ncols=2)
+    foot.set_ylabel("height [cm]")
+    _legend(foot, 2)
     return _values(published, Measured.of(run.trace))
 
 
@@ -62,6 +63,7 @@ def draw_feet(figure: Any, data: Data, scenario: str) -> list[str]:
     walk_picture.draw_from_aside(aside, trace)
     above.set_ylabel("left [m]")
     aside.set_ylabel("height [cm]")
+    _legend(aside, 6)
     return []
 
 
@@ -72,7 +74,7 @@ def _draw_height(axes: Any, trace: Trace, published: Published) -> None:
         axes.plot(trace.t, level, color=_THESIS, lw=1.2, ls="--", label="with the thesis' constant error")
         low, high = axes.get_ylim()
         axes.set_ylim(min(low, float(np.nanmin(level)) - 0.5), high)
-    axes.legend(loc="upper left", ncols=3)
+    _legend(axes, 3)
     axes.tick_params(labelbottom=False)
 
 
@@ -83,8 +85,13 @@ def _draw_tilt(axes: Any, trace: Trace, published: Published) -> None:
             axes.axhline(sign * (limit or 0.0), color=_THESIS, lw=1.2, ls=style, label=label if sign > 0 else None)
     axes.set_xlabel(_SINCE)
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.25 * (high - low))
-    axes.legend(loc="upper left", ncols=6, columnspacing=1.0, handlelength=1.4)
+    axes.set_ylim(low, high + 0.65 * (high - low))
+    _legend(axes, 3)
+
+
+def _legend(axes: Any, columns: int) -> None:
+    """Draw a legend that takes no part in the layout."""
+    axes.legend(loc="upper left", ncols=columns, columnspacing=1.0, handlelength=1.4, fontsize=7.5).set_in_layout(False)
 
 
 def _values(published: Published, measured: Measured) -> list[str]:

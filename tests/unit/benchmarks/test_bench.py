@@ -381,7 +381,6 @@ def test_thesis_icp_finds_observable_motion() -> None:
     )
     camera = CarriedCamera(way, np.random.default_rng(2))
     profile = way.profile.camera
-    pytest.importorskip("scipy", reason="the thesis' ICP needs SciPy, of the bench extra")
     thesis = registration_peers.METHODS["thesis ICP, pixels"](profile, Settings())
     T = way.T_world_camera[0]
     for k in (8, 9, 10, 11, 12):
