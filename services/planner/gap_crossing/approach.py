@@ -115,8 +115,9 @@ class GapCrossingController:
             self._gap_crossing, self._crossing_line, self._crossed = None, None, True
             self._refusals.complete(xy if nothing else None)
         elif isinstance(outcome, CannotCross):
+            straight_refusal = "" if self._gap_crossing is None else self._gap_crossing.straight_refusal
             self._gap_crossing, self._crossing_line = None, None
-            self._refusals.refuse(outcome.reason, xy, now_ns)
+            self._refusals.refuse(outcome.reason, xy, now_ns, straight_refusal)
         return outcome
 
     def _approach_gap(
@@ -147,7 +148,10 @@ class GapCrossingController:
             settings = self._settings
             passage = PassageSettings.of(settings.gap_crossing, settings.gap_detection, goal.body_height)
             roadmap = Roadmap(self._profile, passage)
-            self._gap_crossing = GapCrossing(self._profile, self._settings, roadmap, standing, target, self._yielded)
+            straight_refusal = self._refusals.straight_refusal_at(standing.body[:2, 3])
+            self._gap_crossing = GapCrossing(
+                self._profile, self._settings, roadmap, standing, target, self._yielded, straight_refusal
+            )
         return unready
 
     def _select_crossing_line(self, goal: Goal, standing: WorldStance, terrain: Terrain) -> str:

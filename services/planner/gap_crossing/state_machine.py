@@ -49,6 +49,7 @@ class GapCrossing:
         standing: WorldStance,
         target: Array,
         yielded: list[Array],
+        straight_refusal: str = "",
         stopwatch: Callable[[], int] = stopwatch_ns,
     ):
         """Start from the robot's current stance.
@@ -60,6 +61,7 @@ class GapCrossing:
             standing: Robot before the gap, facing across.
             target: (2,) [m] {world} goal, straight ahead.
             yielded: (3,) [m] {world} undersides of feet that found no ground, or lower ground; this class appends to the list.
+            straight_refusal: Why an earlier crossing from here found no section straight on: the body then turns at once.
             stopwatch: [ns] clock for the planning time in the report.
         """
         self._profile, self._settings = profile, settings
@@ -68,6 +70,8 @@ class GapCrossing:
         self._views = ViewBudget()
         self._ground = YieldedGround(yielded, profile.foot.radius)
         self._search = SectionSearch(roadmap, stopwatch)
+        if straight_refusal:
+            self._allow_turns(straight_refusal)
         self._trail = StepHistory()
         self._stage: Stage = "survey"
         self._since_ns = -1  # when the robot came to rest
@@ -83,6 +87,11 @@ class GapCrossing:
     def report(self) -> PassagePlan | None:
         """Return the result of the last planning, once."""
         return self._search.take_report()
+
+    @property
+    def straight_refusal(self) -> str:
+        """Return why no section leads straight on, or "" while the body does not turn."""
+        return self._search.straight_refusal
 
     @property
     def walked(self) -> bool:
@@ -226,8 +235,7 @@ class GapCrossing:
         if found.unseen and self._views.accept_less():
             return self._survey_again(found.reason)
         if not self._search.turns:
-            self._search.allow_turns(found.reason)
-            self._survey.widen()
+            self._allow_turns(found.reason)
             return self._survey_again(f"no section leads straight on: {found.reason}")
         back = self._trail.back(self._ground.in_strip(self._required_field), YIELDED_RADIUS_M)
         if back:
@@ -236,6 +244,11 @@ class GapCrossing:
         if self._search.may_plan_at(standing.body[:2, 3]):
             return self._survey_again(found.reason)
         return self._refused(found.reason + ("; no better view is available" if found.unseen else ""))
+
+    def _allow_turns(self, straight_refusal: str) -> None:
+        """Let the body turn from now on, on a wider map."""
+        self._search.allow_turns(straight_refusal)
+        self._survey.widen()
 
     def _refused(self, reason: str) -> CannotCross:
         """Return the end of a crossing without a further section, with the reason for each heading that was tried."""

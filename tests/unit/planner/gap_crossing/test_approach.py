@@ -172,7 +172,7 @@ class BriefCrossing:
     """A crossing that ends at once."""
 
     report = None
-    walked = True
+    walked, straight_refusal = True, "all"
     outcome: Outcome = Completed("no gap ahead of the robot")
 
     def __init__(self, *_: object) -> None:
@@ -222,9 +222,18 @@ def test_next_gap_is_crossed_unless_previous_survey_found_none(walked: bool, mon
 
 
 def test_robot_rests_before_every_attempt_to_cross(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Check a retry of a robot that still faces the gap: it has just come to rest again."""
-    monkeypatch.setattr(BriefCrossing, "outcome", CannotCross("no path"))
-    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", BriefCrossing)
+    """Check a retry of a robot that still faces the gap: it has just come to rest again, and turns at once."""
+    refused: list[object] = []
+
+    class Crossing(BriefCrossing):
+        """A crossing that records what it knows of earlier ones."""
+
+        outcome = CannotCross("no path")
+
+        def __init__(self, *given: object) -> None:
+            refused.append(given[-1])
+
+    monkeypatch.setattr("sextant.services.planner.gap_crossing.approach.GapCrossing", Crossing)
     (rig, standing), terrain = at_the_edge(), Terrain(gap(0.8))
     params = GapApproachParams()
     mode = GapCrossingController(load_profile("phantomx_mk2"), Settings())
@@ -237,6 +246,7 @@ def test_robot_rests_before_every_attempt_to_cross(monkeypatch: pytest.MonkeyPat
             now_ns += 20_000_000
         assert (now_ns - begun_ns) * 1e-9 == pytest.approx(params.rest_s, abs=0.02)
         now_ns += round(params.refusal_s * 1e9)
+    assert refused == ["", "all"]
 
 
 def test_no_crossing_starts_before_its_search_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,6 +37,20 @@ def test_lifetime_doubles_at_one_place_alone() -> None:
     assert refusals.reason_at(ELSEWHERE, 40 * S) == ""
 
 
+def test_refusal_of_straight_sections_is_kept_at_its_place_until_another_goal() -> None:
+    refusals = memory()
+    assert refusals.straight_refusal_at(HERE) == ""
+    refusals.refuse("too wide", HERE, 0, "out of reach")
+    refusals.refuse("no map", HERE, 10 * S)
+    assert refusals.straight_refusal_at(HERE + 0.1) == "out of reach", "it holds when the refusal is over"
+    assert refusals.straight_refusal_at(ELSEWHERE) == ""
+    refusals.refuse("no map", ELSEWHERE, 20 * S)
+    assert refusals.straight_refusal_at(HERE) == refusals.straight_refusal_at(ELSEWHERE) == ""
+    refusals.refuse("too wide", HERE, 30 * S, "out of reach")
+    refusals.forget()
+    assert refusals.straight_refusal_at(HERE) == ""
+
+
 def test_place_without_a_gap_is_remembered_until_a_gap_is_crossed() -> None:
     refusals = memory()
     assert not refusals.found_nothing_at(HERE)

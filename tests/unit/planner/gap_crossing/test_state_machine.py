@@ -52,11 +52,13 @@ class ScriptedRoadmap:
 class Robot:
     """A robot that walks as the crossing requests and provides a map twice a second."""
 
-    def __init__(self, sections: ScriptedRoadmap, looks: int = 0, gap: bool = True, yielded: Sequence[Array] = ()) -> None:
+    def __init__(
+        self, sections: ScriptedRoadmap, looks: int = 0, gap: bool = True, yielded: Sequence[Array] = (), refused: str = ""
+    ) -> None:
         self.T = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
         self.feet = apply(self.T, PROFILE.rest_feet(HEIGHT))
         self.sections, self.looks, self.gap = sections, looks, gap
-        self.crossing = GapCrossing(PROFILE, Settings(), sections, self.standing, GOAL, list(yielded))
+        self.crossing = GapCrossing(PROFILE, Settings(), sections, self.standing, GOAL, list(yielded), refused)
         self.state = actuator_state(PROFILE, T_odom_body=self.T, body_ref=self.T)
         self.now_ns = 0
         self.map: PassageMap | None = None
@@ -225,6 +227,14 @@ def test_body_turns_only_after_straight_sections_are_refused() -> None:
     widths = [field.evaluation.shape[1] * field.resolution for field, *_ in robot.sections.begun]
     assert widths == pytest.approx([STRIP[1]] * ATTEMPTS + [TURNING_WIDTH])
     assert "surveying the gap again: no section leads straight on: all" in robot.wait_messages
+
+
+def test_body_turns_at_once_where_straight_sections_were_refused_before() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way("stuck")] * (PLANNINGS * ATTEMPTS)), refused="all")
+    assert robot.crossing.straight_refusal == "all"
+    assert robot.until_end(3000) == CannotCross("straight on: all; with turns up to 45 deg: stuck")
+    assert robot.sections.turning == [True] * (PLANNINGS * ATTEMPTS)
+    assert {field.evaluation.shape[1] for field, *_ in robot.sections.begun} == {round(TURNING_WIDTH / 0.01)}
 
 
 def test_section_that_turns_is_planned_and_walked_with_the_yaw_of_the_body() -> None:
