@@ -11,6 +11,9 @@ around the centre of mass only if every edge has this margin. An edge joins two 
 are at least as far from the centre of mass, in the direction perpendicular to the edge. So each foothold has the set of
 directions in which it is far enough out, and a stance passes if the sets of every two neighbouring feet intersect.
 
+The **height** of the body is that over any floor between the lowest and the highest foothold. On an uneven strip, where the
+roadmap chooses it, it is up to 7 cm more or less.
+
 The tests of the roadmap that are left out could only refuse more: torque, distances between legs, and clearance of trunk,
 shanks and swings over the ground. The remaining configurations are few enough to search all of them. If none of them leads
 across, there is no path at this discretisation.
@@ -27,6 +30,7 @@ from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
 from sextant.services.planner.roadmap.search_tables import legs_of, rules_of
+from sextant.services.planner.roadmap.sections import is_uneven
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
@@ -37,6 +41,7 @@ _WORDS = 2  # 64-bit words of a set of directions, one bit per direction
 _FOOT_RANGE_M = 0.35  # [m] maximum distance of a foot from the body along each axis
 _WIDE_M = 0.50  # [m] ground longer and wider than this is one tile
 _NARROW_M = 0.08  # [m] maximum extent of a piece with three tiles; a longer one is divided into several pieces
+_SWAY_M = 0.07  # [m] of the body's height over the floor to lower and higher places on an uneven strip; trunk and legs limit it
 _MAX_CONFIGURATIONS = 4_000_000  # maximum number of configurations
 _MAX_TILES, _MAX_SIDES = 255, 63  # limits of the encoding of a configuration
 
@@ -161,11 +166,13 @@ def _tiles(
     # 1. Places of feet relative to the body, and the directions in which they are far enough out; then the same for tiles.
     carrying = field.elevation[tile >= 0]
     low, high = float(carrying.min()), float(carrying.max())
-    window = _window(profile, settings, np.array(field.first_cell), low - high)
+    sway = math.ceil(_SWAY_M / rules.lattice) if is_uneven(field, settings.uneven_m) else 0
+    window = _window(profile, settings, np.array(field.first_cell), low - high - sway * rules.lattice)
     out = np.zeros((6, count, *size, _WORDS), dtype=np.uint64)
     first = np.floor(np.array(field.first_cell) / rules.lattice + 1e-9).astype(np.int64) - corner
     level = np.rint(np.where(tile >= 0, field.elevation - high, 0.0) / rules.lattice).astype(np.int64) + (window.shape[1] - 1)
-    _combine_directions(window, tile, level, first, window.shape[2] // 2, out)
+    floors = (window.shape[1] + 1) // 2 + sway
+    _combine_directions(window, tile, level, first, window.shape[2] // 2, floors, out)
     # 2. The tiles within reach come first in each leg's list.
     reached = out.any(axis=-1)  # (6, tiles, nx, ny)
     near = np.argsort(~reached, axis=1, kind="stable")[:, : int(reached.sum(axis=1).max())]
@@ -254,6 +261,7 @@ def _combine_directions(
     level: NDArray[np.int64],
     first: NDArray[np.int64],
     k: int,
+    floors: int,
     out: NDArray[np.uint64],
 ) -> None:
     """Add the directions of each cell to those of its tile, for each body place within `k` cells.
@@ -264,9 +272,9 @@ def _combine_directions(
         level: (nx, ny) height of each cell as a level of the window, for the lowest floor under the body.
         first: (2,) lattice place of cell (0, 0).
         k: Cells of the window to every side of its middle.
+        floors: Number of heights of the floor, one level apart.
         out: Directions of the tiles, see `Tiles`; the directions at all possible heights of the floor are united.
     """
-    levels = (window.shape[1] + 1) // 2
     for i in range(tile.shape[0]):
         for j in range(tile.shape[1]):
             t = tile[i, j]
@@ -274,7 +282,7 @@ def _combine_directions(
                 continue
             for x in range(max(i + first[0] - k, 0), min(i + first[0] + k + 1, out.shape[2])):
                 for y in range(max(j + first[1] - k, 0), min(j + first[1] + k + 1, out.shape[3])):
-                    for floor in range(levels):
+                    for floor in range(floors):
                         for leg in range(6):
                             for w in range(out.shape[4]):
                                 out[leg, t, x, y, w] |= window[

@@ -35,7 +35,9 @@ class GapCrossingParams(Params):
     turn_deg: float = ranged(12.0, 0.0, 45.0)  # [deg] maximum turn of the body in a step, in a crossing that turns
     most_turn_deg: float = ranged(45.0, 0.0, 90.0)  # [deg] maximum yaw of the body to the strip, in a crossing that turns
     turning_drift_m: float = ranged(0.45, 0.0, 1.0)  # [m] the same as drift_m, in a crossing that turns
-    sway_m: float = ranged(0.02, 0.0, 0.1)  # [m] from the body's height to lower and higher places, in a crossing that turns
+    sway_m: float = ranged(0.02, 0.0, 0.1)  # [m] from the body's height to lower and higher ones, in turns and on uneven strips
+    uneven_m: float = ranged(0.02, 0.0, 0.5)  # [m] between the lowest and the highest footholds, from which a strip is uneven
+    uneven_body_moves: int = ranged(8, 1, 100)  # number of body motions per expansion on an uneven strip, m
     lattice_m: float = ranged(0.01, 0.001, 0.1)  # [m] lattice of body places
     strong_cells: int = ranged(-2, -100, -1)  # [cells] evaluation function, up to which a sampled foothold is used unchanged
     wide_cells: int = ranged(-4, -100, -1)  # [cells] local minimum of the evaluation function, up to which ground is wide

@@ -13,7 +13,7 @@ from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.failure_reasons import TEST_NAMES, WHOLE_ROBOT, describe_fault, explain_failure
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of, tree_of
-from sextant.services.planner.roadmap.sections import bare
+from sextant.services.planner.roadmap.sections import bare, foothold_heights, hidden_behind, is_uneven, nearest_view
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array, rotation_z
 from sextant.shared.robot.profile import RobotProfile
@@ -87,6 +87,8 @@ class Roadmap:
         self._straight, self._turning = (rules_of(profile, self._settings, turning) for turning in (False, True))
         self._rules = self._straight
         self._tree = tree_of(self._settings.nodes)
+        self._nearest_view = nearest_view(profile.camera, self._straight.height)
+        self._hidden: Array = np.zeros(0)  # [m] {strip} begins of unknown ground behind higher ground
         self._field: StripMap | None = None
 
     @property
@@ -138,6 +140,11 @@ class Roadmap:
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
         self._field, self._rules = field, self._turning if turning else self._straight
+        self._hidden = np.zeros(0)
+        if is_uneven(field, self._settings.uneven_m):
+            sway, moves = self._settings.sway_m, self._settings.uneven_body_moves
+            self._rules = self._rules._replace(sway=sway, move_samples=moves, uneven=True)
+            self._hidden = hidden_behind(field, foothold_heights(field)[0] + self._settings.uneven_m, _BAND)
         self._outcome: SectionPlan | NoSection | None = None
         self._ground = ground_of(field)
         self._goal_x, self._max_body_x = goal_x, self._end_of_the_known(field, stance)
@@ -251,8 +258,8 @@ class Roadmap:
         assert self._field is not None
         stance, strokes = best.stance, self._legs.stroke.sum(axis=1)
         why = explain_failure(best.fails, stance.body, stance.feet, strokes, self._field, stance.yaw)
-        no_way = self._no_way(why.words, why.unseen, best, why.leg)
-        if not why.unseen or not best.retreat or self._ventures(best.retreat):
+        no_way = self._no_way(why.words, why.unseen or best.looks_behind, best, why.leg)
+        if not best.looks_behind and (not why.unseen or not best.retreat or self._ventures(best.retreat)):
             return no_way
         return replace(
             no_way, closer=SectionPlan(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
@@ -287,11 +294,24 @@ class Roadmap:
     def _reached(self, node: int) -> "_Furthest":
         """Return a configuration, with the failed tests of the furthest stance."""
         tree = self._tree
+        behind = next((n for n in self._views_behind(node) if self._is_worth(n)), -1)
         # The stance for another look is a little before the last reached one, which may be a dead end.
-        back = self._before(node, _RETREAT)
-        worth = tree.body[back, 0] >= self._root.body[0] + _MIN_SECTION_M
-        retreat = self._steps(back) if worth else ()
-        return _Furthest(self._stance(node), tree.fails[1].copy(), self._steps(node), retreat, self._stance(back))
+        back = behind if behind >= 0 else self._before(node, _RETREAT)
+        retreat = self._steps(back) if self._is_worth(back) else ()
+        stance, fails = self._stance(node), tree.fails[1].copy()
+        return _Furthest(stance, fails, self._steps(node), retreat, self._stance(back), behind >= 0)
+
+    def _is_worth(self, node: int) -> bool:
+        """Return whether a section to a configuration is worth walking."""
+        return bool(self._tree.body[node, 0] >= self._root.body[0] + _MIN_SECTION_M)
+
+    def _views_behind(self, node: int) -> Iterator[int]:
+        """Yield configurations on the path to a node that are near enough to see ground hidden behind higher ground."""
+        x = float(self._tree.body[node, 0])
+        for begin in self._hidden:
+            way = x - (float(begin) - self._nearest_view)
+            if way >= _RETREAT:
+                yield self._before(node, way)
 
     def _section(self, node: int, complete: bool, reason: str) -> SectionPlan:
         return SectionPlan(self._steps(node), complete, reason, self.generated, self.expanded, self._stance(node))
@@ -349,8 +369,9 @@ class _Furthest:
     stance: Stance
     fails: NDArray[np.int64]  # (tests, 7) failed tests there
     steps: tuple[PassageStep, ...]  # to the furthest stance
-    retreat: tuple[PassageStep, ...]  # to a stance a little before it
+    retreat: tuple[PassageStep, ...]  # to a stance before it, from which more may be seen
     retreat_stance: Stance
+    looks_behind: bool  # whether ground that is hidden behind higher ground may be seen from that stance
 
 
 def _shifts(most: float, step: float) -> Iterator[Array]:

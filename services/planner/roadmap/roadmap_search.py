@@ -38,6 +38,7 @@ _SAMPLES = 9  # number of samples of a swing
 _AXIS = (
     0.035  # [m] minimum foot distance from the coxa axis; nearer, the coxa turns too fast and the foot's push is unpredictable
 )
+_INSIDE = 0.001  # [m] from the ends of the range of body heights
 _PIECES = 12  # pieces of the path between two samples
 _LEVEL_SHARE = 0.8  # share of its clearance at which a swing is taken to be level
 _RISES = (0.20, 0.05, 0.70)  # shares of time, path and level height of the steepest possible rise
@@ -137,6 +138,7 @@ class Rules(NamedTuple):
     yaw_change: int  # maximum change of the yaw in one step [lattice steps]; 0: the body does not turn
     yaw_most: int  # maximum yaw {strip} [lattice steps]
     sway: float  # [m] maximum sampled distance of the body from its normal height
+    uneven: bool  # whether a sampled height is moved into the reach of the standing legs
 
 
 class Ground(NamedTuple):
@@ -353,6 +355,22 @@ def _floor(feet: Array, swing: int, radius: float) -> float:
         elif z > c:
             c = z
     return (a + b + c) / 3.0 - radius
+
+
+@compiled
+def _height_range(table: Array, feet: Array, swing: int, bx: float, by: float) -> tuple[float, float]:
+    """Return the lowest and the highest body [m] at a place for which the knees of the standing legs reach their feet."""
+    low, high = -np.inf, np.inf
+    for leg in range(6):
+        if leg == swing:
+            continue
+        x, y = feet[leg, 0] - bx - table[0, leg, _MOUNT], feet[leg, 1] - by - table[0, leg, _MOUNT + 1]
+        z = feet[leg, 2] - table[0, leg, _MOUNT + 2]
+        reach = math.sqrt(x * x + y * y) - table[0, leg, _LINKS]
+        short, far = table[WITH_RESERVE, leg, _WAY], table[WITH_RESERVE, leg, _WAY + 1]
+        high = min(high, z + math.sqrt(max(far * far - reach * reach, 0.0)))
+        low = max(low, z + math.sqrt(max(short * short - reach * reach, 0.0)))
+    return low, high
 
 
 @compiled
@@ -1204,6 +1222,9 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
         body[1] = rules.lattice * round((b0[1] + dy) / rules.lattice)
         if rules.sway > 0.0:
             swayed = height + rules.sway * (2.0 * _uniform(tree.random) - 1.0)
+            if rules.uneven:
+                low, high = _height_range(legs.table, feet, leg, body[0], body[1])
+                swayed = max(min(swayed, high - _INSIDE), low + _INSIDE)
             body[2] = min(max(swayed, b0[2] - rules.climb), b0[2] + rules.climb)
         if rules.yaw_change > 0 and leg < 0:
             change = math.floor((2 * rules.yaw_change + 1) * _uniform(tree.random)) - rules.yaw_change

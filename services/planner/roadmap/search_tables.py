@@ -114,6 +114,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, turning: bool = F
         yaw_change=round(settings.turn_deg / YAW_STEP_DEG) if turning else 0,
         yaw_most=round(settings.most_turn_deg / YAW_STEP_DEG),
         sway=settings.sway_m if turning else 0.0,
+        uneven=False,
     )
 
 

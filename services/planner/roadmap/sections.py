@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sextant.services.planner.roadmap.params import BareGroundParams
 from sextant.services.planner.roadmap.strip_map import KNOWN_SHARE, StripMap
 from sextant.shared.geometry import Array
+from sextant.shared.robot.profile import Camera
 from sextant.shared.wire.messages import UNKNOWN
 
 _BEYOND = 0.40  # [m] from the gap to the body's centre, with which the whole robot stands behind the gap
@@ -15,6 +16,7 @@ _ROOM = 0.80  # [m] of normal ground, enough for the whole robot to stand and wa
 _BORDER = 0.05  # [m] at the strip's far end where no gap is detected, because cells outside a strip count as vacant
 _UNDER = 0.7  # [1] share of the radius of failed ground, in which the ground has certainly sunk with the foot
 _GONE = 1  # evaluation function of a cell without a foothold
+_INNER = -2  # [cells] evaluation function of footholds with ground on all sides, whose heights are no outliers
 
 
 def goal_behind(field: StripMap, x: float, target: float, params: BareGroundParams) -> float | None:
@@ -58,6 +60,53 @@ def without(field: StripMap, sole: Array, radius: float) -> StripMap:
     return replace(
         field, elevation=low, evaluation=np.where(gone, np.maximum(field.evaluation, np.int8(_GONE)), field.evaluation)
     )
+
+
+def foothold_heights(field: StripMap) -> tuple[float, float]:
+    """Return the lowest and the highest height [m] {strip} of the ground that carries a foot, (0, 0) if none does."""
+    heights = field.elevation[(field.evaluation <= _INNER) & np.isfinite(field.elevation)]
+    return (float(heights.min()), float(heights.max())) if heights.size else (0.0, 0.0)
+
+
+def is_uneven(field: StripMap, relief: float) -> bool:
+    """Return whether the heights of the footholds differ by more than a relief [m]."""
+    low, high = foothold_heights(field)
+    return high - low > relief
+
+
+def hidden_behind(field: StripMap, height: float, half_width: float) -> Array:
+    """Return where unknown ground begins behind high ground, along the strip.
+
+    Behind such ground there may be footholds that are too low to be seen from before it.
+
+    Args:
+        field: The strip.
+        height: [m] {strip} from which ground is high.
+        half_width: [m] of the band around the middle line that counts.
+
+    Returns:
+        (n,) [m] {strip}, in rising order.
+    """
+    y = field.first_cell[1] + field.resolution * np.arange(field.evaluation.shape[1])
+    band = np.abs(y) <= half_width
+    high, unknown = field.elevation[:-1, band] > height, field.evaluation[1:, band] == UNKNOWN
+    rows = np.flatnonzero((high & unknown).any(axis=1)) + 1
+    return np.asarray(field.first_cell[0] + field.resolution * rows)
+
+
+def nearest_view(camera: Camera, body_height: float) -> float:
+    """Return how far ahead of the body [m] level ground begins to be in the picture and in range.
+
+    Args:
+        camera: The camera.
+        body_height: [m] over the ground.
+    """
+    T, lens = camera.T_body_camera, camera.intrinsics
+    height, ahead = body_height + float(T[2, 3]), T[:3, 2]
+    lowest = T[:3, :3] @ [0.0, (lens.height - 1 - lens.cy) / lens.fy, 1.0]  # ray of the lowest row of the picture
+    picture = height * lowest[0] / -lowest[2] if lowest[2] < 0.0 else np.inf
+    in_range = (camera.sensor.min_range + ahead[2] * height) / ahead[0] if ahead[0] > 0.0 else np.inf
+    return float(T[0, 3] + max(picture, in_range))
 
 
 def bare(field: StripMap, params: BareGroundParams) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import NoSection, Roadmap, SectionPlan, Stance
 from sextant.services.planner.roadmap.roadmap_search import nearest_seen
-from sextant.services.planner.roadmap.sections import bare
+from sextant.services.planner.roadmap.sections import bare, hidden_behind, nearest_view
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import apply, from_xyz_rpy
 from sextant.shared.robot.profile import LEGS
@@ -148,6 +148,48 @@ def test_search_from_turned_stance_keeps_its_heading_on_level_ground(roadmap: Ro
     assert isinstance(found, SectionPlan)
     assert found.complete
     assert violations(PROFILE, field, stance, found.steps) == []
+
+
+def uneven_bridge(jitter: int) -> StripMap:
+    """Return a straight bridge of three pairs whose pillars are 4 cm higher and lower in turn, with jittered places."""
+    rng = np.random.default_rng(jitter)
+    middle = NEAR + GAP / 2
+    return bridge([(middle + off + rng.uniform(-0.01, 0.01), 0.0, 0.0) for off in (-0.25, 0.0, 0.25)], (0.04, -0.04))
+
+
+@pytest.mark.parametrize("jitter", [0, 1])
+def test_uneven_pillars_are_crossed_with_a_body_that_rises_and_sinks(roadmap: Roadmap, jitter: int) -> None:
+    field, stance = uneven_bridge(jitter), stance_at(PROFILE, START, HEIGHT)
+    for seed in range(16):
+        found = grown(roadmap, field, stance, NEAR + GAP + BEYOND, seed)
+        if isinstance(found, SectionPlan) and found.complete:
+            break
+    assert isinstance(found, SectionPlan)
+    assert found.complete
+    assert violations(PROFILE, field, stance, found.steps) == []
+    assert np.ptp([step.body[2] for step in found.steps]) > 0.03
+
+
+def test_pillars_hidden_behind_higher_ones_are_looked_for_from_nearer(roadmap: Roadmap) -> None:
+    """Check that the section ends where the ground behind the high pillar comes into view, and never further."""
+    plain = uneven_bridge(0)
+    middle = plain.elevation.shape[1] // 2
+    end = int(np.flatnonzero((plain.elevation[:, :middle] > 0.03).any(axis=1))[-1]) + 1  # of the second pillar on the right
+    hidden = np.zeros(plain.evaluation.shape, dtype=np.bool_)
+    hidden[end : end + 32, :middle] = True  # the third one
+    field = replace(
+        plain,
+        elevation=np.where(hidden, np.float32(np.nan), plain.elevation),
+        evaluation=np.where(hidden, np.int8(UNKNOWN), plain.evaluation),
+    )
+    stance = stance_at(PROFILE, START, HEIGHT)
+    behind = hidden_behind(field, 0.0, 0.3)
+    found = grown(roadmap, field, stance, NEAR + GAP + BEYOND)
+    assert isinstance(found, NoSection)
+    assert found.unseen
+    assert found.closer is not None
+    assert violations(PROFILE, field, stance, found.closer.steps) == []
+    assert stance.body[0] + 0.05 <= found.closer.end.body[0] <= float(behind.max()) - nearest_view(PROFILE.camera, HEIGHT)
 
 
 @pytest.mark.slow

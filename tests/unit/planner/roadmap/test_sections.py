@@ -13,8 +13,10 @@ from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.gap_crossing.params import GapDetectionParams
 from sextant.services.planner.roadmap import sections
 from sextant.services.planner.roadmap.params import BareGroundParams
-from sextant.services.planner.roadmap.sections import bare, without
+from sextant.services.planner.roadmap.sections import bare, foothold_heights, hidden_behind, nearest_view, without
 from sextant.services.planner.roadmap.strip_map import StripMap
+from sextant.shared.geometry import apply, inverse
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import UNKNOWN
 
 goal_behind = partial(sections.goal_behind, params=BareGroundParams())
@@ -112,6 +114,47 @@ def test_ground_that_gave_way_is_removed_and_other_cells_stay(x: float, y: float
     again = without(after, np.array([x, y, z]), radius)
     np.testing.assert_array_equal(again.evaluation, after.evaluation)
     np.testing.assert_array_equal(again.elevation, after.elevation)
+
+
+@given(st.floats(-0.5, 0.5), st.floats(0.0, 0.2))
+def test_foothold_heights_follow_ground_and_ignore_single_cells(level: float, step: float) -> None:
+    elevation = np.full((60, 40), level, dtype=np.float32)
+    elevation[30:] += np.float32(step)
+    field = StripMap(elevation, np.full(elevation.shape, -5, dtype=np.int8), 0.01, np.eye(4))
+    assert foothold_heights(field) == pytest.approx((level, level + step), abs=1e-6)
+    elevation[10, 10], elevation[11, 11] = level + 1.0, np.nan  # an outlier at the edge of its ground, and an unknown cell
+    evaluation = field.evaluation.copy()
+    evaluation[9:13, 9:13] = -1
+    assert foothold_heights(replace(field, evaluation=evaluation)) == pytest.approx((level, level + step), abs=1e-6)
+
+
+def test_ground_without_footholds_has_no_heights() -> None:
+    nothing = StripMap(np.ones((5, 5), dtype=np.float32), np.full((5, 5), UNKNOWN, dtype=np.int8), 0.01, np.eye(4))
+    assert foothold_heights(nothing) == (0.0, 0.0)
+
+
+@given(st.integers(10, 80), st.integers(5, 30), st.integers(1, 40))
+def test_ground_hidden_behind_high_ground_begins_where_it_ends(begin: int, length: int, shadow: int) -> None:
+    field = strip_of(np.zeros((200, 40), dtype=np.float32))
+    elevation, evaluation = field.elevation.copy(), field.evaluation.copy()
+    elevation[begin : begin + length, 5:9] = 0.04
+    evaluation[begin + length : begin + length + shadow, 5:9] = UNKNOWN
+    shadowed = replace(field, elevation=elevation, evaluation=evaluation)
+    assert hidden_behind(shadowed, 0.02, 0.3) == pytest.approx([field.first_cell[0] + field.resolution * (begin + length)])
+    assert not hidden_behind(shadowed, 0.05, 0.3).size, "the ground before it is not high"
+    assert not hidden_behind(shadowed, 0.02, 0.05).size, "it is outside the band"
+    assert not hidden_behind(replace(shadowed, evaluation=field.evaluation), 0.02, 0.3).size, "it is seen"
+
+
+@pytest.mark.parametrize("robot", ["phantomx_mk2", "lotriet_rx64"])
+@pytest.mark.parametrize("height", [0.09, 0.12])
+def test_ground_is_in_view_from_nearest_view_on(robot: str, height: float) -> None:
+    camera = load_profile(robot).camera
+    x = nearest_view(camera, height) + np.array([-0.02, 0.02])
+    ahead = apply(inverse(camera.T_body_camera), np.column_stack([x, [0.0, 0.0], [-height, -height]]))
+    rows = camera.intrinsics.fy * ahead[:, 1] / ahead[:, 2] + camera.intrinsics.cy
+    seen = (rows <= camera.intrinsics.height - 1) & (ahead[:, 2] >= camera.sensor.min_range)
+    assert seen.tolist() == [False, True]
 
 
 def partly_unseen_pillars() -> StripMap:
