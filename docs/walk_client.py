@@ -30,7 +30,7 @@ with zenoh.open(ROUTER) as robot, robot.declare_subscriber("sextant/actuator/sta
             if not number or (refused and state[0] > number + 1_000_000_000):
                 number = state[0]  # [ns] by the robot's clock; an order that was refused is given again, as a new one
             send("mode", "ModeCommand:73c90002", b"", state[0], order, number, "walk_client", False)
-            send("velocity", "VelocityCommand:ac25fe80", v, state[0], ["<f8", [2], 0], 0.0, 0.11, 0.04, "tripod", False)
+            send("velocity", "VelocityCommand:0708be15", v, state[0], ["<f8", [2], 0], 0.0, 0.11, 0.04, "tripod", *2 * [False])
             if said != before:
                 print(said, flush=True)
         if refused or (order != "walk" and not said.startswith(done)):

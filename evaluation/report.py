@@ -82,6 +82,16 @@ class HornsFound:
 
 
 @dataclass(frozen=True, slots=True)
+class ChosenGait:
+    """A choice of gait and speed by the planner; it holds until the next one."""
+
+    time_s: float  # [s] since the start of the run
+    gait: str  # tripod, ripple or wave
+    speed_mps: float  # [m/s] over level ground; 0 where the operator gives the speed
+    reason: str  # class of the ground, a colon, and what decided, as text
+
+
+@dataclass(frozen=True, slots=True)
 class MapError:
     """Mapped minus true height within 1 m of the robot."""
 
@@ -181,7 +191,7 @@ class Report:
     scenario: str  # name of the course
     seed: int  # [1] of everything random
     robot: str  # name of the profile
-    gait: str  # of the walk: tripod, ripple or wave
+    gait: str  # of the walk: tripod, ripple or wave; auto: see `gait_choices`
     blind: bool  # whether it is the baseline without a map
     success: bool  # goal truly reached, or correctly refused; no fall, no servo shutdown, on a route no collision
     reason: str  # why it ended, as text
@@ -207,6 +217,8 @@ class Report:
     map_error_m: MapError = MapError()  # of the map around the robot
     camera: CameraFound = CameraFound()  # errors of the camera's profile, estimated by the robot
     horns: HornsFound = HornsFound()  # errors of the horns, estimated by the robot; empty without a step
+    hottest_servo_c: float = _NAN  # [deg C] highest temperature of any servo
+    gait_choices: tuple[ChosenGait, ...] = ()  # of gait or kind of ground, if the planner chooses gait or speed
     course_map_m: CourseMap = CourseMap()  # of all maps of the run together
     passage: Passage = Passage()  # how a gap was crossed
     capture_to_plan_ms: CaptureToPlan = CaptureToPlan()  # time from a depth image to the plan in execution

@@ -233,7 +233,8 @@ class _Driver:
             yield ModeCommand(self._robot(), "walk" if self.leads else "stand", self._given_ns)
         if self.leads:
             walk = self._walk
-            yield VelocityCommand(self._robot(), self.velocity, self.yaw_rate, walk.body_height, walk.lift, walk.gait)
+            how = walk.body_height, walk.lift, walk.gait
+            yield VelocityCommand(self._robot(), self.velocity, self.yaw_rate, *how, auto_speed=walk.auto_speed)
 
 
 gymnasium.register(id="sextant/Hexapod-v0", entry_point="sextant.gym:HexapodEnv")

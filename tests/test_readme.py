@@ -45,7 +45,7 @@ RUN_BY = {
     "trials": "tests/walk/test_walks.py::test_trials_command_runs_seeds_in_parallel",
     "trials --foothold": "tests/walk/test_tutorials.py::test_course_and_rule_of_tutorials_walk",
     "trials --set": "tests/walk/test_tutorials.py::test_course_and_rule_of_tutorials_walk",
-    "trials --gait": "tests/unit/deploy/test_cli.py::test_robot_and_gait_options_override_scenario",
+    "trials --gait": "tests/unit/deploy/test_cli.py::test_robot_and_walk_options_override_scenario",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_report_success_rate_and_blind_baseline",
     "trials --cluster": "tests/unit/evaluation/trials/test_cluster.py::test_trials_command_runs_on_a_cluster",
     "trials all --cluster": "tests/unit/evaluation/trials/test_cluster.py::test_campaign_on_a_cluster_survives_a_killed_worker",

@@ -10,15 +10,15 @@ from sextant.deploy.commands.common import INTERRUPTED, SUCCESS, CommandError, I
 from sextant.deploy.terminal.arguments import command, option
 
 if TYPE_CHECKING:
-    from sextant.shared.wire.messages import GaitName
+    from sextant.shared.wire.messages import GaitRequest
 
 
 @command()
 @options.robot
 @options.connection
-@option("--gait", "gait of the walk", type=options.GAIT, default="tripod")
+@option("--gait", "gait of the walk; auto: the planner chooses gait and speed", type=options.GAIT, default="tripod")
 @option("--gamepad", "joystick device of Linux, e.g. /dev/input/js0 (default: keys only)", "DEVICE", default="")
-def drive(robot: str, connection: options.Connection, gait: "GaitName", gamepad: str) -> int:
+def drive(robot: str, connection: options.Connection, gait: "GaitRequest", gamepad: str) -> int:
     """Drive a running robot by keys or a gamepad, in a terminal.
 
     The robot walks while a key is held, which the terminal shows by repeating it. Hold a key: after its first repetition the

@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sextant.shared.plugins.loading import Kind, Plugins
     from sextant.shared.robot.profile import RobotProfile
     from sextant.shared.scenario.scenario import Link, Scenario
-    from sextant.shared.wire.messages import GaitName
+    from sextant.shared.wire.messages import GaitRequest
     from sextant.shared.wire.transport import Endpoints
 
 ROUTER = "tcp/127.0.0.1:7447"  # of the robot, by default
@@ -29,7 +29,7 @@ _MOST_SEEDS = 1_000_000
 NATURAL, POSITIVE = whole(0), whole(1)
 PORT = whole(0, 65535)
 SECONDS = number(0.001, 86400.0, "seconds")
-GAIT = Choice(("tripod", "ripple", "wave"))
+GAIT = Choice(("tripod", "ripple", "wave", "auto"))
 
 
 def seeds(text: str) -> range:
@@ -40,6 +40,19 @@ def seeds(text: str) -> range:
     if int(found[2]) - int(found[1]) > _MOST_SEEDS:
         raise ValueError(f"at most {_MOST_SEEDS} seeds expected, found {text[:60]!r}; for example 0:50")
     return range(int(found[1]), int(found[2]))
+
+
+def walk_speed(text: str) -> float | Literal["auto"]:
+    """Parse a speed [m/s], or auto."""
+    if text == "auto":
+        return "auto"
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0.001 <= speed <= 10.0:
+        raise ValueError(f"auto, or a speed from 0.001 to 10 m/s expected, found {text[:60]!r}")
+    return speed
 
 
 def servo_ids(text: str) -> range:
@@ -132,10 +145,12 @@ params = option(
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """Robot, gait, radio and parameters in place of those of a scenario, where they are given."""
+    """Robot, walk, radio and parameters in place of those of a scenario, where they are given."""
 
     robot: str = ""
-    gait: "GaitName | None" = None
+    gait: "GaitRequest | None" = None
+    speed: float | Literal["auto"] | None = None
+    height: float | None = None
     link: str = ""
     params: tuple[str, ...] = ()
     planner: str = ""
@@ -155,7 +170,7 @@ class Variant:
             InputError: One of them is invalid.
         """
         from sextant.evaluation.params import assigned
-        from sextant.services.planner.locomotion.gait import GAITS
+        from sextant.services.planner.locomotion.gait import gait_of
 
         profile, radio, plugins = checked_robot(self.robot), _radio(self.link), self._plugins()
 
@@ -165,11 +180,18 @@ class Variant:
             if radio.exists:
                 scenario = replace(scenario, link=radio)
             scenario = replace(assigned(scenario, self.params), plugins=plugins)
+            walk, slower = scenario.walk, 1.0
             if self.gait:
-                slower = GAITS[self.gait].slowness / GAITS[scenario.walk.gait].slowness
-                walk = replace(scenario.walk, gait=self.gait)
-                scenario = replace(scenario, walk=walk, time_limit_s=scenario.time_limit_s * max(slower, 1.0))
-            return scenario
+                slower = gait_of(self.gait).slowness / gait_of(walk.gait).slowness
+                walk = replace(walk, gait=self.gait)
+            if self.speed == "auto":
+                walk = replace(walk, auto_speed=True)
+            elif self.speed is not None:
+                slower *= walk.speed / self.speed
+                walk = replace(walk, speed=self.speed, auto_speed=False)
+            if self.height is not None:
+                walk = replace(walk, body_height=self.height)
+            return replace(scenario, walk=walk, time_limit_s=scenario.time_limit_s * max(slower, 1.0))
 
         return apply
 
@@ -210,7 +232,14 @@ variant = options_of(
     Variant,
     "variant",
     option("--robot", "robot profile by name, or path of a TOML file (default: the scenario's)", "NAME", default=""),
-    option("--gait", "gait (default: the scenario's); a slower gait gets a longer time limit", type=GAIT),
+    option("--gait", "gait, or auto: the planner chooses (default: the scenario's)", type=GAIT),
+    option("--speed", "speed in m/s, or auto: the planner chooses (default: the scenario's)", "SPEED", type=walk_speed),
+    option(
+        "--height",
+        "height of the body over the ground in m (default: the scenario's)",
+        "M",
+        type=number(0.001, 10.0, "a height"),
+    ),
     option(
         "--link",
         "radio simulated in lockstep: one-way delay, total Mbit/s both ways, share of lost packets, e.g. 20,20,0.05",

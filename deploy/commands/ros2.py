@@ -7,7 +7,7 @@ from sextant.deploy.commands.common import FAILED, INTERRUPTED, InputError, comp
 from sextant.deploy.terminal.arguments import command, flag, option
 
 if TYPE_CHECKING:
-    from sextant.shared.wire.messages import GaitName
+    from sextant.shared.wire.messages import GaitRequest
 
 _LOOK_S = 0.1
 
@@ -25,7 +25,7 @@ _LOOK_S = 0.1
 )
 @options.connection
 @options.robot
-@option("--gait", "gait for Twist messages", type=options.GAIT, default="tripod")
+@option("--gait", "gait for Twist messages; auto: the planner chooses gait and speed", type=options.GAIT, default="tripod")
 @flag("--pictures", "also publish the small camera previews")
 @option("--pose-from", "topic of nav_msgs/Odometry for a perception with method=external", "TOPIC", default="")
 @option("--depth-from", "topic of depth images (sensor_msgs/Image) for a camera with device=external", "TOPIC", default="")
@@ -35,7 +35,7 @@ def ros2(
     ros_connect: tuple[str, ...],
     connection: options.Connection,
     robot: str,
-    gait: "GaitName",
+    gait: "GaitRequest",
     pictures: bool,
     pose_from: str,
     depth_from: str,

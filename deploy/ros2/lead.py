@@ -13,7 +13,7 @@ import numpy as np
 
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
-from sextant.shared.wire.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
+from sextant.shared.wire.messages import ActuatorState, GaitRequest, Message, Mode, ModeCommand, VelocityCommand
 
 DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the robot stops
 _REPEAT_NS = 500_000_000  # [ns] between two messages of an order, which keeps the lease
@@ -31,7 +31,7 @@ class Walk:
     max_speed: float  # [m/s] of the robot
     body_height: float  # [m] over the floor
     lift: float = 0.04  # [m] clearance of swing feet
-    gait: GaitName = "tripod"
+    gait: GaitRequest = "tripod"
 
 
 @dataclass(slots=True)
@@ -155,4 +155,5 @@ class Lead:
 
     def _command(self, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:
         walk = self.walk
-        return VelocityCommand(now_ns, velocity, yaw_rate, walk.body_height, walk.lift, walk.gait)
+        asked = walk.body_height, walk.lift, walk.gait
+        return VelocityCommand(now_ns, velocity, yaw_rate, *asked, auto_speed=walk.gait == "auto")

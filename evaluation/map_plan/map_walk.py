@@ -16,7 +16,7 @@ from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.gap_detection import detect_gap
 from sextant.services.planner.gap_crossing.section_search import ATTEMPTS
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, TURNING_WIDTH
-from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
+from sextant.services.planner.locomotion.gait import GAITS, directions, gait_of, swing_order
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.navigation.path_follower import PathFollower
 from sextant.services.planner.navigation.path_planner import NoPath
@@ -243,7 +243,7 @@ class _Walker:
 
     def _starts(self, command: VelocityCommand) -> list[StepStart]:
         along = directions(command.velocity, command.yaw_rate, self._rest)
-        order = swing_order(GAITS[command.gait], along, apply(inverse(self._body), self._feet), self._rest)
+        order = swing_order(gait_of(command.gait), along, apply(inverse(self._body), self._feet), self._rest)
         return [StepStart(self._body, self._feet, swing, command) for swing in order]
 
     def _take(self, step: PlannedStep) -> None:

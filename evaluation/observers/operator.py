@@ -82,7 +82,9 @@ class Operator:
         self._gap_crossing: GapCrossingMode = "always" if scenario.goal.passage else "if needed"
         self._goal_due_ns = 0
         self._walk = replace(scenario.walk, body_height=profile.stance.height_or_own(scenario.walk.body_height))
-        self._speed = min(scenario.walk.speed, profile.stance.max_speed)
+        self._speed = profile.stance.max_speed
+        if not scenario.walk.auto_speed:
+            self._speed = min(scenario.walk.speed, self._speed)
         self._order: Literal["stand", "walk"] = "stand"
         self._given_ns = -1  # when that was ordered, by the robot's clock
         self._order_due_ns = 0
@@ -129,6 +131,7 @@ class Operator:
                     walk.lift,
                     walk.gait,
                     self._gap_crossing,
+                    walk.auto_speed,
                 )
             arrived = self._route is not None and status is not None and status.has_arrived_at(self._route[-1])
             if arrived and self._arrived_ns is None:
@@ -234,7 +237,8 @@ class Operator:
                 error = atan2(sin(yaw), cos(yaw))
                 yaw_rate = min(max(-_HEADING_GAIN * error, -_MAX_YAW_RATE), _MAX_YAW_RATE)
         walk = self._walk
-        return VelocityCommand(self._robot(), velocity, yaw_rate, walk.body_height, walk.lift, walk.gait, self._by_touch)
+        how = walk.body_height, walk.lift, walk.gait
+        return VelocityCommand(self._robot(), velocity, yaw_rate, *how, self._by_touch, walk.auto_speed)
 
     def _watch_arrival(self, now: int, state: ActuatorState | None, status: PlannerStatus | None) -> None:
         if self.finished or self._arrived_ns is None or now - self._arrived_ns < _ORDER_NS:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sextant.evaluation.whole_maps.terrain_map import RESOLUTION_M, terrain_of
-from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
+from sextant.services.planner.locomotion.gait import directions, gait_of, swing_order
 from sextant.services.planner.locomotion.step_planner import NoStep, StepPlanner, StepStart
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
@@ -101,7 +101,7 @@ class _Walker:
         terrain = self._terrain(lambda x: ground(x, value), goal + 2.0 * self.half_length)
         body = from_xyz_rpy((0.0, 0.0, self._height), np.zeros(3))
         feet = apply(body, self._rest)
-        gait = GAITS[self._command.gait]
+        gait = gait_of(self._command.gait)
         along = directions(self._command.velocity, 0.0, self._rest)
         for _ in range(_MAX_STEPS):
             if body[0, 3] > goal:

@@ -14,7 +14,14 @@ import numpy as np
 from sextant.evaluation.metrics.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
 from sextant.evaluation.report import ARRIVED, CourseMap, MapError, Report, StageTime
 from sextant.evaluation.scoring.passage_metrics import passage_metrics
-from sextant.evaluation.scoring.walk_report import add_walk_metrics, camera_found, capture_to_plan, horns_found, pose_error
+from sextant.evaluation.scoring.walk_report import (
+    add_walk_metrics,
+    camera_found,
+    capture_to_plan,
+    gait_choices,
+    horns_found,
+    pose_error,
+)
 from sextant.evaluation.trace.course import Course, Ground
 from sextant.evaluation.trace.recorded_walk import Walk
 from sextant.evaluation.trace.run_log import RunLog
@@ -345,6 +352,8 @@ class Scorer:
             capture_to_plan_ms=capture_to_plan(self._heard),
             camera=camera_found(self._heard),
             horns=horns_found(self._heard),
+            gait_choices=gait_choices(self._heard),
+            hottest_servo_c=self._heard.hottest,
             course_map_m=CourseMap() if in_a_hurry else self._course_map(trace.mosaic),
         )
         if not trace.walking.any():

@@ -8,6 +8,7 @@ from sextant.evaluation.metrics.walk_metrics import angle_between, rubbing, slip
 from sextant.evaluation.report import (
     CameraFound,
     CaptureToPlan,
+    ChosenGait,
     HeightError,
     HornsFound,
     PoseError,
@@ -75,6 +76,14 @@ def horns_found(heard: RunLog) -> HornsFound:
     if errors is None:
         return HornsFound()
     return HornsFound(*(tuple(np.degrees(of).ravel().tolist()) for of in (errors.estimate, errors.sigma, errors.corrected)))
+
+
+def gait_choices(heard: RunLog) -> tuple[ChosenGait, ...]:
+    """Return the gaits and speeds that the planner chose, in order."""
+    return tuple(
+        ChosenGait((status.stamp_ns - heard.begin_ns) * 1e-9, status.gait, status.speed, status.gait_reason)
+        for status in heard.choices
+    )
 
 
 def capture_to_plan(heard: RunLog) -> CaptureToPlan:

@@ -77,6 +77,8 @@ class RunLog:
         self.states: list[ActuatorState] = []
         self.statuses: list[PlannerStatus] = []
         self.plans: dict[int, StepPlan] = {}  # the newest revision of each step
+        self.choices: list[PlannerStatus] = []  # the first status of each choice of a gait, or of another kind of ground
+        self.hottest = float("nan")  # [deg C] highest temperature of any servo
         self.moved: dict[int, int] = {}  # moved footholds of each step, as reported by the planner
         self.passage_plans: list[tuple[PassagePlan, PassageMap | None]] = []  # with the newest map of the strip at that time
         self.routes: list[Array] = []  # (k, 2) [m] {world} new routes to a goal
@@ -100,6 +102,7 @@ class RunLog:
             self.begin_ns = truth.stamp_ns
         self.truth.append(truth)
         self.newest_ns = truth.stamp_ns
+        self.hottest = float(np.fmax(self.hottest, truth.temperature))
         for pose in inbox.drain(topics.BODY_POSE):
             self.poses.append(_sharing(pose, self.poses, _UNUSED_OF_POSE))
         self.camera_errors = inbox.latest(topics.CAMERA_ERRORS) or self.camera_errors
@@ -134,6 +137,8 @@ class RunLog:
 
     def _note(self, status: PlannerStatus) -> None:
         self.statuses.append(status)
+        if status.gait and _choice(status) not in map(_choice, self.choices[-1:]):
+            self.choices.append(status)
         self.moved[status.step + self._steps_before] = status.moved_footholds
         if len(status.path) and not any(_goes_on(status.path, known) for known in self.routes[-1:]):
             self.routes.append(status.path)
@@ -144,6 +149,11 @@ class RunLog:
             self._blocked_since_ns = status.stamp_ns
         if status.stamp_ns - self._blocked_since_ns >= _REFUSED_NS:
             self.refusal = status.reason
+
+
+def _choice(status: PlannerStatus) -> tuple[str, str]:
+    """Return the chosen gait and the kind of ground, without the numbers that decided."""
+    return status.gait, status.gait_reason.partition(":")[0]
 
 
 def _sharing(message: Kept, before: Sequence[Kept], unused: frozenset[str]) -> Kept:

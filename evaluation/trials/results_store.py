@@ -95,7 +95,13 @@ class Run:
         """
         report = entry.get("report")
         if isinstance(report, dict):
-            report = {"params": {}, "plugins": {}, "deviation": {}} | report  # older reports do not have them
+            report = {
+                "params": {},
+                "plugins": {},
+                "deviation": {},
+                "gait_choices": [],
+                "hottest_servo_c": None,
+            } | report  # older reports do not have them
         entry = _LEFT_OUT | entry
         problems = reports.check(entry, cls) if report is None else reports.check(report)
         if problems:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from sextant.services.planner.gap_crossing.params import GapApproachParams, GapDetectionParams
-from sextant.services.planner.locomotion.params import BlindWalkingParams, RevisionParams, StepParams
+from sextant.services.planner.locomotion.params import BlindWalkingParams, GaitChoiceParams, RevisionParams, StepParams
 from sextant.services.planner.navigation.params import CostmapParams, PathFollowerParams, StallParams
 from sextant.services.planner.params import FootholdParams
 from sextant.services.planner.roadmap.params import GapCrossingParams
@@ -17,6 +17,7 @@ class PlannerParams(Params):
 
     foothold: FootholdParams = field(default_factory=FootholdParams)
     step: StepParams = field(default_factory=StepParams)
+    gait_choice: GaitChoiceParams = field(default_factory=GaitChoiceParams)
     revision: RevisionParams = field(default_factory=RevisionParams)
     blind_walking: BlindWalkingParams = field(default_factory=BlindWalkingParams)
     costmap: CostmapParams = field(default_factory=CostmapParams)

@@ -91,6 +91,7 @@ class Planner:
         if pose is not None:
             self._goals.add_pose(pose)
             self._missing_ground.update(state, pose.T_world_odom)
+        self._steps.auto_gait.update(state, self._missing_ground.count)
         decision = self._decide(state, inbox) if self._is_due(state, inbox) else None
         if decision is not None:
             yield from self._execute(decision, state)
@@ -178,6 +179,8 @@ class Planner:
         if robot.state.phase < self._settings.revision.retarget_until_phase:
             revised = self._steps.retarget(robot, terrain)
             return None if revised is None else replace(self._decision, step=revised)
+        if self._steps.auto_gait.pace is not None and self._plans.is_settled(robot.state):
+            return None
         if isinstance(request, Goal):
             return self._goals.follow(request, robot, terrain, inbox.latest(topics.PASSAGE))
         if is_still(request):
@@ -200,6 +203,7 @@ class Planner:
         )
 
     def _status(self, state: ActuatorState) -> PlannerStatus:
+        choice = self._steps.auto_gait.choice if self._decision.state in ("stepping", "blocked") else None
         return PlannerStatus(
             stamp_ns=state.stamp_ns,
             state=self._decision.state,
@@ -209,6 +213,9 @@ class Planner:
             blocked_leg=self._decision.blocked_leg,
             invalid_command=self._decision.invalid_command,
             path=self._goals.path if self._has_goal else np.zeros((0, 2)),
+            gait="" if choice is None else choice.walk.gait,
+            speed=choice.walk.speed if choice is not None and choice.sets_speed else 0.0,
+            gait_reason="" if choice is None else choice.reason,
         )
 
 

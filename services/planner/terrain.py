@@ -104,6 +104,13 @@ class Terrain:
             return np.asarray(self.map.score <= MAX_FOOTHOLD_SCORE)
         return np.asarray(self.map.evaluation < 0)
 
+    def carries(self, ij: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which (...) of the cells with indices (..., 2) carry a foot."""
+        i, j = ij[..., 0], ij[..., 1]
+        if self.layer == "score":
+            return np.asarray(self.map.score[i, j] <= MAX_FOOTHOLD_SCORE)
+        return np.asarray(self.map.evaluation[i, j] < 0)
+
     def hazards(self, xy: Array) -> NDArray[np.uint8]:
         """Return the hazard (n,) at points (n, 2) [m] {world}, as an index into `HAZARDS`.
 

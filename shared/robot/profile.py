@@ -147,7 +147,7 @@ class Stance:
     foot_radius_from_coxa: tuple[float, float, float]
     body_height: float  # [m] body origin above the ground
     body_height_range: tuple[float, float]  # [m] lowest and highest
-    max_speed: float  # [m/s] of the body
+    max_speed: float  # [m/s] of the body; a planner that chooses the speed itself goes as fast as the servos bear
     step_s: float  # [s] duration of a tripod's step over level ground
     stride: float  # [m] maximum body motion during the stance of a foot
     # [m/s] speed of swinging feet, height counted twice; a faster swing takes more time instead, or the servos overheat

@@ -24,7 +24,7 @@ from sextant.shared.scenario.relief import Relief
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.spelling import hint
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import GaitName
+from sextant.shared.wire.messages import GaitRequest
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
 MAX_BLOCKS = 500  # randomly placed blocks of one primitive; each is tested against all others, which takes time
@@ -553,8 +553,9 @@ class Goal:
 class Walk:
     """Walking parameters that the operator sets."""
 
-    gait: GaitName = "tripod"  # groups of legs that swing together: two, three or six
+    gait: GaitRequest = "tripod"  # groups of legs that swing together: two, three or six; auto: the planner chooses
     speed: float = 0.11  # [m/s] commanded on level ground
+    auto_speed: bool = False  # True: the planner chooses the speed and how high feet go, by what it sees; `speed` is not used
     body_height: float = 0.11  # [m] above the ground; a robot whose range does not reach it has that of its stance
     lift: float = 0.025  # [m] clearance of a swinging foot over start and touchdown; higher over obstacles in the map
     blind: bool = False  # True: baseline without a map, the planner walks as on flat ground

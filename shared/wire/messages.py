@@ -73,6 +73,7 @@ PerLeg: TypeAlias = Annotated[NDArray[np.float64], Dims(6)]
 PerJoint: TypeAlias = Annotated[NDArray[np.float64], Dims(6, 3)]
 LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
 GaitName: TypeAlias = Literal["tripod", "ripple", "wave"]
+GaitRequest: TypeAlias = Literal["tripod", "ripple", "wave", "auto"]  # auto: the planner chooses by what it sees
 GapCrossingMode: TypeAlias = Literal["if needed", "always", "never"]
 FaultTarget: TypeAlias = Literal["bytes", "packets", "servo", "bus", "supply"]
 FaultKind: TypeAlias = Literal[
@@ -494,6 +495,10 @@ class PlannerStatus(Message):
         default_factory=lambda: _NO_PATH
     )  # [m] {world} corners of the path from the robot to the goal; the goal alone once arrived, empty without a path
     invalid_command: bool = False  # blocked because this robot can never execute the command, wherever it stands
+    # The planner's choice; the gait is empty and the speed is zero where the request does not leave them to the planner
+    gait: Literal["", "tripod", "ripple", "wave"] = ""
+    speed: float = 0.0  # [m/s] over level ground; steps over obstacles are slower
+    gait_reason: str = ""  # class of the ground, a colon, and what decided
 
     def has_arrived_at(self, place: NDArray[np.float64]) -> bool:
         """Return whether the robot has arrived at the goal with this last waypoint (2,) [m] {world}, not at another one."""
@@ -502,14 +507,19 @@ class PlannerStatus(Message):
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand(Message):
-    """Commanded velocity and gait, repeated while it holds; operator -> planner."""
+    """Commanded velocity and gait, repeated while it holds; operator -> planner.
+
+    With `auto_speed` the planner chooses the speed. A velocity of the profile's `max_speed` or more then means that speed, a
+    smaller one the same share of it.
+    """
 
     velocity: Annotated[NDArray[np.float64], Dims(2)]  # [m/s] {body} forward, left
     yaw_rate: float  # [rad/s]
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
-    gait: GaitName = "tripod"  # from the next step on
+    gait: GaitRequest = "tripod"  # from the next step on
     blind_walking: bool = False  # True: walk slowly without a map, the feet detect the ground
+    auto_speed: bool = False  # True: the planner chooses speed and foot height by what it sees
 
 
 @dataclass(frozen=True, slots=True)
@@ -524,8 +534,9 @@ class Goal(Message):
     speed: float  # [m/s] maximum
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
-    gait: GaitName = "tripod"
+    gait: GaitRequest = "tripod"
     gap_crossing: GapCrossingMode = "if needed"  # if needed: where there is no path; always: straight to the last waypoint
+    auto_speed: bool = False  # True: the planner chooses the speed, see VelocityCommand
 
 
 @dataclass(frozen=True, slots=True)

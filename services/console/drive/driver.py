@@ -16,7 +16,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, PlannerStatus, Tick
+from sextant.shared.wire.messages import ActuatorState, GaitRequest, Message, Mode, ModeCommand, PlannerStatus, Tick
 
 SPEEDS = 10  # steps of the speed, up to the highest speed of the profile
 TURN_RAD_S = 0.3  # turning rate at the highest speed, as on the page
@@ -74,7 +74,7 @@ class Driver:
         place: str,
         terminal: Terminal,
         gamepad: Gamepad | None = None,
-        gait: GaitName = "tripod",
+        gait: GaitRequest = "tripod",
         barred: Callable[[Inbox], str] = lambda _: "",
     ):
         """Start without a press.

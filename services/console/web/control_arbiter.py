@@ -284,7 +284,8 @@ class ControlArbiter:
             speed = math.hypot(drive.forward, drive.left)
             share = min(1.0, self._max_speed / speed) if speed > 0.0 else 1.0
             velocity = np.array([share * drive.forward, share * drive.left])
-            return [VelocityCommand(now_ns, velocity, drive.turn, walk.height, walk.lift, walk.gait, drive.blind_walking)]
+            how = walk.height, walk.lift, walk.gait, drive.blind_walking
+            return [VelocityCommand(now_ns, velocity, drive.turn, *how, walk.gait == "auto")]
         if press is None and self._zero is not None and now_ns < self._zero_until_ns:
             self._velocity_ns = now_ns
             return [replace(self._zero, stamp_ns=now_ns)]
@@ -301,7 +302,8 @@ class ControlArbiter:
         speed = min(goal.speed, self._max_speed)
         waypoints = np.array(goal.waypoints)
         crossing: GapCrossingMode = "always" if goal.passage else "if needed"
-        return [Goal(now_ns, waypoints, _TOLERANCE_M, speed, walk.height, walk.lift, walk.gait, crossing)]
+        how = walk.height, walk.lift, walk.gait, crossing
+        return [Goal(now_ns, waypoints, _TOLERANCE_M, speed, *how, walk.gait == "auto")]
 
     # ------------------------------------------------------------------------------------------------ ends of presses, goals
 

@@ -13,7 +13,7 @@ _MAX_PRESS = 1 << 53  # up to which JavaScript represents all integers
 
 Order: TypeAlias = Literal["off", "stop", "ready", "stand", "sit"]
 Layer: TypeAlias = Literal["score", "evaluation", "variance", "color"]
-Gait: TypeAlias = Literal["tripod", "ripple", "wave"]
+Gait: TypeAlias = Literal["tripod", "ripple", "wave", "auto"]  # auto: the planner chooses gait and speed
 
 
 class RequestError(ValueError):

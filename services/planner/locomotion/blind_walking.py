@@ -17,7 +17,7 @@ from sextant.services.planner.terrain import DEEP, Terrain, plane_of, plane_thro
 from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import Feedback
-from sextant.shared.wire.messages import VelocityCommand
+from sextant.shared.wire.messages import GaitRequest, VelocityCommand
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] depths below the plane for a touchdown; the first within reach is used
 
@@ -41,8 +41,9 @@ class BlindStepPlanner:
         self._strides = StepPlanner(replace(profile, stance=slow), settings)
 
     def asked(self, command: VelocityCommand) -> VelocityCommand:
-        """Return the command with the higher lift of walking by touch."""
-        return replace(command, lift=max(command.lift, self._params.lift_m))
+        """Return the command with the higher lift of walking by touch; the tripod takes the place of `auto`."""
+        gait: GaitRequest = "tripod" if command.gait == "auto" else command.gait
+        return replace(command, lift=max(command.lift, self._params.lift_m), gait=gait, auto_speed=False)
 
     def terrain(self, stamp_ns: int, feet: Array) -> Terrain:
         """Return the expected ground for standing feet (6, 3) [m] {world}."""

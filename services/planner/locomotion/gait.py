@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, from_xyz_rpy
-from sextant.shared.wire.messages import GaitName
+from sextant.shared.wire.messages import GaitName, GaitRequest
 
 _EQUAL_LEAD_M = 0.005  # [m] difference between two leads of a tripod that counts as none; shorter steps use less
 _MIN_RELATIVE_MOTION = 0.1  # [1] share of the fastest foot's motion; slower feet count as this fast
@@ -40,12 +40,25 @@ class Gait:
         return self.stances / len(self.groups)
 
 
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How fast steps are taken."""
+
+    step_s: float  # [s] shortest duration of a tripod's step
+    foot_speed: float  # [m/s] of swinging feet, see `Stance`
+
+
 # Ripple pairs are opposite legs, so four feet stand around the body. The wave goes from rear to front on each side.
 GAITS: dict[GaitName, Gait] = {
     "tripod": Gait(((0, 2, 4), (1, 3, 5)), 1.0),
     "ripple": Gait(((1, 4), (0, 3), (2, 5)), 0.8),
     "wave": Gait(((3,), (2,), (1,), (4,), (5,), (0,)), 0.7),
 }
+
+
+def gait_of(request: GaitRequest) -> Gait:
+    """Return the requested gait; the tripod where the planner may choose and has not chosen yet."""
+    return GAITS["tripod" if request == "auto" else request]
 
 
 def active_sextant(direction: Array, rest_feet: Array) -> int:

@@ -25,7 +25,7 @@ class MissingGround:
         self.places: Array = np.zeros((0, 2))  # [m] {world}
         self._heard_ns = np.full(6, -1, dtype=np.int64)
         self._marked: tuple[TerrainMap, int, Terrain] | None = None  # map, count and result of the last call
-        self._count = 0
+        self.count = 0  # of all places so far
 
     def update(self, state: ActuatorState, T_world_odom: Array) -> None:
         """Add the newest places from the actuator's state."""
@@ -34,14 +34,14 @@ class MissingGround:
         if new.any():
             found = apply(T_world_odom, state.touchdown_point[new])[:, :2]
             self.places = np.concatenate([self.places, found])[-_KEPT:]
-            self._count += len(found)
+            self.count += len(found)
 
     def marked(self, terrain: Terrain) -> Terrain:
         """Return the terrain with these places marked as no footholds."""
         if not len(self.places):
             return terrain
-        if self._marked is None or self._marked[0] is not terrain.map or self._marked[1] != self._count:
-            self._marked = (terrain.map, self._count, self._mark(terrain))
+        if self._marked is None or self._marked[0] is not terrain.map or self._marked[1] != self.count:
+            self._marked = (terrain.map, self.count, self._mark(terrain))
         return self._marked[2]
 
     def _mark(self, terrain: Terrain) -> Terrain:

@@ -26,7 +26,33 @@ class StepParams(Params):
     height_cost: float = ranged(2.0, 0.0, 10.0)  # [1] time for height relative to ground distance; the body covers half of that
     rough_height_cost: float = ranged(2.5, 0.0, 10.0)  # [1] the same where a foot goes higher than commanded
     gathered_m: float = ranged(0.02, 0.0, 0.5)  # [m] minimum approach of all feet to their rest in a step on the spot
+    max_joint_speed: float = ranged(0.75, 0.1, 1.0)  # [1] of the no-load speed: over a fifth of a swing, with `auto_speed`
     shift_s: float = ranged(1.0, 0.2, 10.0)  # [s] duration of a shift of the body that makes room for a leg
+
+
+@dataclass(frozen=True, slots=True)
+class GaitChoiceParams(Params):
+    """Choice of gait and speed by the ground, the pose, recent failures and the servos' load, where the request is `auto`."""
+
+    ahead_m: float = ranged(0.60, 0.1, 2.0)  # [m] length of the ground that counts, from the robot's centre on
+    half_width_m: float = ranged(0.26, 0.05, 1.0)  # [m] half width of that ground
+    even_step_m: float = ranged(0.006, 0.0, 0.1)  # [m] largest height difference within 2 cm on even ground
+    even_carrying: float = ranged(0.95, 0.0, 1.0)  # [1] least share of even ground that carries a foot
+    even_slope_deg: float = ranged(4.0, 0.0, 45.0)  # [deg] steepest even ground
+    firm_carrying: float = ranged(0.15, 0.0, 1.0)  # [1] share of the ground that carries a foot, below which it is doubtful
+    firm_slope_deg: float = ranged(12.0, 0.0, 45.0)  # [deg] from where ground is doubtful
+    even_unseen: float = ranged(0.10, 0.0, 1.0)  # [1] largest unseen share of even ground
+    firm_unseen: float = ranged(0.35, 0.0, 1.0)  # [1] unseen share, above which the ground is doubtful
+    memory_s: float = ranged(10.0, 0.0, 600.0)  # [s] for which a failure counts
+    event_s: float = ranged(1.0, 0.0, 60.0)  # [s] in which equal failures count once
+    doubtful_failures: int = ranged(1, 1, 100)  # failures from which ground is doubtful
+    difficult_failures: int = ranged(3, 1, 100)  # failures from which ground is difficult
+    calm_s: float = ranged(2.0, 0.0, 60.0)  # [s] after which ground that has become better counts as better
+    even_lift_m: float = ranged(0.015, 0.005, 0.1)  # [m] largest clearance of a swing over even ground
+    max_duty: float = ranged(0.32, 0.05, 1.0)  # [1] largest predicted root mean square torque, of the stall torque
+    max_measured_duty: float = ranged(0.33, 0.05, 1.0)  # [1] the same of the measured torque, above which the robot slows
+    heat_horizon_s: float = ranged(600.0, 10.0, 1e5)  # [s] in which no servo may come near its temperature limit
+    heat_reserve_k: float = ranged(1.0, 0.0, 30.0)  # [K] below the temperature from which the actuator walks slower
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ _KEPT = 40  # number of remembered plans besides the newest
 _RENEW_NS = 35_000_000  # [ns] after which the running step is sent again: without a plan the actuator goes on for 180 ms
 _MEASURED_NS = 300_000_000  # [ns] of rest after which a foot that stopped on ground counts as measured
 _REVISION_NS = 100_000_000  # [ns] from a revision until the actuator's state names it; after that it counts as lost
+_SETTLED_NS = 150_000_000  # [ns] before a step, from which its plan stays, if it has fast feet
 _UNANSWERED_NS = 300_000_000  # [ns] without an answer from resting legs, after which a plan counts as late
 
 
@@ -104,6 +105,18 @@ class PlanTracker:
     def feet_are_measured(self, now_ns: int) -> bool:
         """Return whether the legs rest long enough that their feet count as measured."""
         return now_ns - self._moved_ns >= _MEASURED_NS
+
+    def is_settled(self, state: ActuatorState) -> bool:
+        """Return whether the next step begins so soon that its plan must not change.
+
+        Another plan would arrive when its feet are already in the air, and send them on to other places, which can be too far
+        for fast feet.
+        """
+        running = self.running
+        if running is None or state.phase >= 1.0 or running.plan.step != state.step or self.refusals.count:
+            return False
+        left_ns = (1.0 - state.phase) * running.plan.duration * 1e9
+        return left_ns < _SETTLED_NS and any(sent.plan.step == state.step + 1 for sent in self._sent)
 
     def is_unanswered(self, state: ActuatorState) -> bool:
         """Return whether resting legs leave a plan of the next step unanswered.

@@ -6,7 +6,7 @@ import numpy as np
 
 from sextant.services.planner.compiled_terrain import GOOD
 from sextant.services.planner.config import Settings
-from sextant.services.planner.locomotion.gait import GAITS
+from sextant.services.planner.locomotion.gait import gait_of
 from sextant.services.planner.locomotion.replan_attempts import RefusedSteps
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.terrain import Terrain
@@ -86,8 +86,8 @@ class PluginStepPlanner(StepPlanner):
             yaw_rate=command.yaw_rate,
             body_height=command.body_height,
             lift=command.lift,
-            step_s=self.duration(command),
-            stances=GAITS[command.gait].stances,
+            step_s=self.duration(command, at.pace),
+            stances=gait_of(command.gait).stances,
             map=terrain.map,
             refused=self._refusals.count,
             refusal=self._refusals.reason,

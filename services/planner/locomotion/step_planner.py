@@ -11,10 +11,18 @@ from sextant.services.planner.compiled_terrain import GOOD, NONE
 from sextant.services.planner.config import Settings
 from sextant.services.planner.locomotion.body_pose import clear_of_ground, floor_height, leaning, slope_under
 from sextant.services.planner.locomotion.foothold_search import FootholdFinder, NoFoothold
-from sextant.services.planner.locomotion.gait import GAITS, directions, extrapolate_pose, nominal_touchdowns, swing_order
+from sextant.services.planner.locomotion.gait import (
+    Pace,
+    directions,
+    extrapolate_pose,
+    gait_of,
+    nominal_touchdowns,
+    swing_order,
+)
 from sextant.services.planner.locomotion.leg_collision import LegCollision, StepMotion, find_clearances
 from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.locomotion.swing_clearance import swing_clearance
+from sextant.services.planner.locomotion.swing_motion import shortest_swing_s
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from sextant.shared.robot.kinematics import body_inverse, within_limits
@@ -36,6 +44,7 @@ class StepStart:
     feet: Array  # (6, 3) [m] {world} foot centres
     swing: NDArray[np.bool_]  # (6,) legs that will swing
     command: VelocityCommand
+    pace: Pace | None = None  # of the step; None: that of the stance
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +103,12 @@ class StepPlanner:
             return f"a lift of more than 0 and at most {highest:g} m expected, {command.lift:g} m commanded"
         return ""
 
-    def duration(self, command: VelocityCommand) -> float:
+    def duration(self, command: VelocityCommand, pace: Pace | None = None) -> float:
         """Return the duration [s] of a step in the commanded gait.
 
         A step whose feet must go high takes longer.
         """
-        return self._profile.stance.step_s * GAITS[command.gait].pace
+        return (self._profile.stance.step_s if pace is None else pace.step_s) * gait_of(command.gait).pace
 
     def describe_slowdown(self, command: VelocityCommand, stride: PlannedStep) -> str:
         """Return by how much a step is slower than commanded, as text, or "".
@@ -244,8 +253,8 @@ class StepPlanner:
 
     def _attempt(self, at: StepStart, terrain: Terrain, share: float, width: float, foot_margin: float) -> PlannedStep | NoStep:
         params = self._params
-        gait = GAITS[at.command.gait]
-        travel, turn = self._travel(at.command, share)
+        gait = gait_of(at.command.gait)
+        travel, turn = self._travel(at.command, share, at.pace)
         level = from_xyz_rpy(at.T_world_body[:3, 3], (0.0, 0.0, yaw_of(at.T_world_body)))
         T_end, T_middle, T_after = (
             extrapolate_pose(level, travel, turn, 1.0 + steps) for steps in (0.0, gait.stances / 2, float(gait.stances))
@@ -289,17 +298,23 @@ class StepPlanner:
         clearance = lifted
         clearance = np.where(at.swing, clearance, params.path_margin_m)
         dearer = np.where(clearance > at.command.lift, params.rough_height_cost, params.height_cost)
-        swinging = time_to_swing(self._profile, params, at.feet, touchdown, clearance, dearer)
-        duration = max(self.duration(at.command), swinging[at.swing].max())
+        foot_speed = at.pace.foot_speed if at.pace else None
+        swinging = time_to_swing(self._profile, params, at.feet, touchdown, clearance, dearer, foot_speed)
+        if at.pace:  # faster feet than the profile's: long swings must not be too fast for the servos
+            bodies = at.T_world_body, T_end, params.max_joint_speed
+            in_air = shortest_swing_s(self._profile, at.feet, touchdown, clearance, *bodies)
+            usual = time_to_swing(self._profile, params, at.feet, touchdown, clearance, dearer)
+            swinging = np.maximum(swinging, np.minimum(usual, params.handover_s + in_air))
+        duration = max(self.duration(at.command, at.pace), swinging[at.swing].max())
         return PlannedStep(at.swing, touchdown, nominal, clearance, T_end, T_after, at.feet, moved, share, duration, room)
 
-    def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
+    def _travel(self, command: VelocityCommand, share: float, pace: Pace | None = None) -> tuple[Array, float]:
         """Return the body's travel (2,) [m] {body} and turn [rad] in a step.
 
         They are as commanded, limited by the reach of the legs.
         """
-        params, gait = self._params, GAITS[command.gait]
-        duration = self.duration(command)
+        params, gait = self._params, gait_of(command.gait)
+        duration = self.duration(command, pace)
         travel = command.velocity * duration
         longest = self._profile.stance.stride / gait.stances
         travel = travel * (share * min(1.0, longest / max(float(np.linalg.norm(travel)), 1e-9)))
@@ -313,7 +328,7 @@ class StepPlanner:
         """
         rest = self._profile.rest_feet(command.body_height)
         along = directions(command.velocity, command.yaw_rate, rest)
-        return ~swing_order(GAITS[command.gait], along, apply(inverse(T_world_body), feet), rest)[0]
+        return ~swing_order(gait_of(command.gait), along, apply(inverse(T_world_body), feet), rest)[0]
 
     def _raised(self, at: StepStart, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
         """Return the poses at the commanded height over the floor, within the climb limit.
@@ -384,7 +399,13 @@ class StepPlanner:
 
 
 def time_to_swing(
-    profile: RobotProfile, params: StepParams, start: Array, end: Array, clearance: Array, dearer: Array | None = None
+    profile: RobotProfile,
+    params: StepParams,
+    start: Array,
+    end: Array,
+    clearance: Array,
+    dearer: Array | None = None,
+    foot_speed: float | None = None,
 ) -> Array:
     """Return the duration (n,) [s] of steps at the sustainable speed of the servos.
 
@@ -395,7 +416,8 @@ def time_to_swing(
         end: (n, 3) [m] foot centres at the end.
         clearance: (n,) [m] over the higher end.
         dearer: (n,) cost of height relative to ground distance; None: `height_cost` for all.
+        foot_speed: [m/s] of the swings; None: that of the stance.
     """
     up_and_down = 2.0 * clearance + np.abs((end - start)[:, 2])
     way = np.linalg.norm((end - start)[:, :2], axis=1) + (params.height_cost if dearer is None else dearer) * up_and_down
-    return np.asarray(params.handover_s + way / profile.stance.foot_speed)
+    return np.asarray(params.handover_s + way / (foot_speed or profile.stance.foot_speed))

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.services.planner.config import Settings
+from sextant.services.planner.locomotion.auto_gait import AutoGait
 from sextant.services.planner.locomotion.blind_walking import BlindStepPlanner
 from sextant.services.planner.locomotion.decision import Decision
-from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
+from sextant.services.planner.locomotion.gait import Pace, directions, gait_of, swing_order
 from sextant.services.planner.locomotion.missing_ground import MissingGround
 from sextant.services.planner.locomotion.plan_tracking import UNKNOWN_STEP, NumberedStep, PlanTracker
 from sextant.services.planner.locomotion.plugin_step_planner import PluginStepPlanner
@@ -46,6 +47,7 @@ class StepSelector:
             PluginStepPlanner(profile, settings, plans.refusals) if settings.step_planner else StepPlanner(profile, settings)
         )
         self._by_touch = BlindStepPlanner(profile, settings)
+        self.auto_gait = AutoGait(profile, settings)
         self._asked: VelocityCommand | None = None  # the command for which the refusals were collected
         self._retargeted: tuple[int, TerrainMap] | None = None  # number of the step and map of the last retargeting
         self._posture = np.zeros((2, 3))  # the posture for which the refusals were collected
@@ -77,6 +79,10 @@ class StepSelector:
             steered: Whether an operator steers, who must turn the robot towards unseen ground.
         """
         refusals = self._plans.refusals
+        stance = self._plans.stance_after(robot)
+        if stance is None:
+            return Decision("waiting", UNKNOWN_STEP)
+        commands = self.auto_gait.resolve(commands, robot, terrain, stance.body)
         if is_new_course(commands[0], self._asked):
             refusals.forget()
             self._asked = commands[0]
@@ -87,6 +93,8 @@ class StepSelector:
             # "stepping" without a step: the robot comes to rest first, then it steps by touch.
             if decision.step is not None or decision.state == "stepping":
                 return replace(decision, retry_s=retry_s)
+        if decision.state == "blocked" and not decision.invalid_command:
+            self.auto_gait.note_failure(robot.now_ns, "there was no step")
         if decision.state == "blocked" and not decision.invalid_command and robot.state.phase >= 1.0:
             step = self._gather(commands[0], robot, terrain)
             if step is not None:
@@ -102,6 +110,7 @@ class StepSelector:
         It uses no map. Leg odometry gives the body pose since the last pose of perception.
         """
         refusals = self._plans.refusals
+        self.auto_gait.forget_choice()
         if not self._plans.feet_are_measured(robot.now_ns):
             return None
         if is_still(command):
@@ -131,6 +140,7 @@ class StepSelector:
     def select_posture(self, command: PostureCommand, robot: RobotEstimate) -> Decision | None:
         """Return the motion of the body to a posture; None while a step runs."""
         refusals = self._plans.refusals
+        self.auto_gait.forget_choice()
         if self.is_new_posture(command):
             refusals.forget()
             self._posture = np.array([command.place, command.rpy])
@@ -169,7 +179,7 @@ class StepSelector:
         self, command: VelocityCommand, number: int, robot: RobotEstimate, terrain: Terrain, steered: bool
     ) -> Decision:
         """Return the next step for one of the commands; `number` is its index."""
-        starts = self._starts(command, robot)
+        starts = self._starts(command, robot, self.auto_gait.pace)
         if not starts:
             return Decision("waiting", UNKNOWN_STEP)
         invalid_reason = self.validation_error(command)
@@ -232,19 +242,20 @@ class StepSelector:
         if self.validation_error(command):
             return None
         with self._stages("gather feet"):
-            found, way = self._by_sight.gather(self._starts(command, robot), terrain, self._plans.refusals.of(0))
+            starts = self._starts(command, robot, self.auto_gait.pace)
+            found, way = self._by_sight.gather(starts, terrain, self._plans.refusals.of(0))
         return None if isinstance(found, NoStep) else self._next(robot, found, (0, way), terrain)
 
-    def _starts(self, command: VelocityCommand, robot: RobotEstimate) -> list[StepStart]:
+    def _starts(self, command: VelocityCommand, robot: RobotEstimate, pace: Pace | None = None) -> list[StepStart]:
         """Return the possible starts of the next step, most due legs first; [] if unknown."""
         stance = self._plans.stance_after(robot)
         if stance is None:
             return []
         rest = self._profile.rest_feet(command.body_height)
         along = directions(command.velocity, command.yaw_rate, rest)
-        order = swing_order(GAITS[command.gait], along, apply(inverse(stance.body), stance.feet), rest)
+        order = swing_order(gait_of(command.gait), along, apply(inverse(stance.body), stance.feet), rest)
         order = sorted(order, key=lambda swing: bool((swing & self._plans.reversed_legs).any()))  # other groups first
-        return [StepStart(stance.body, stance.feet, swing, command) for swing in order]
+        return [StepStart(stance.body, stance.feet, swing, command, pace) for swing in order]
 
     def _next(
         self, robot: RobotEstimate, planned: PlannedStep, variant: StepVariant, terrain: Terrain | None, stop: bool = False
@@ -264,9 +275,10 @@ class StepSelector:
             else "moving only the body, to make room for a leg"
         )
         shorter = "" if planned.share == 1.0 else f", stride shortened to {planned.share:.0%}"
-        slower = self._by_sight.describe_slowdown(command, planned)
+        slower = "" if self.auto_gait.pace else self._by_sight.describe_slowdown(command, planned)
         instead = f"; the legs due first are blocked: {planned.instead}" if planned.instead else ""
-        return f"{moved}{shorter}{slower}{instead}"
+        chosen = f"{self.auto_gait.choice.words}; " if self.auto_gait.choice else ""
+        return f"{chosen}{moved}{shorter}{slower}{instead}"
 
     def _advice_to_turn(self, found: NoStep, command: VelocityCommand) -> str:
         """Return advice to turn first if the ground ahead was never in view, else ""."""

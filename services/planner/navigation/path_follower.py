@@ -12,7 +12,7 @@ from math import atan2, cos, hypot, pi, radians, sin
 import numpy as np
 
 from sextant.services.planner.config import PlannerParams
-from sextant.services.planner.locomotion.gait import GAITS
+from sextant.services.planner.locomotion.gait import gait_of
 from sextant.services.planner.navigation.path_planner import NoPath, PlannedPath, cost_of, find_path
 from sextant.services.planner.navigation.stall_detection import StallDetector
 from sextant.services.planner.navigation.traversability import (
@@ -135,7 +135,7 @@ class PathFollower:
         return self._follow(active_goal, target, body, now_ns)
 
     def _step_s(self, goal: Goal) -> float:
-        return self._profile.stance.step_s * GAITS[goal.gait].pace
+        return self._profile.stance.step_s * gait_of(goal.gait).pace
 
     def note(self, reason: str) -> None:
         """Note why the robot stands, for the report of a stall."""
@@ -271,7 +271,8 @@ def _off(start: Array, end: Array, xy: Array) -> float:
 
 
 def _command(goal: Goal, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:
-    return VelocityCommand(now_ns, velocity, yaw_rate, goal.body_height, goal.lift, goal.gait)
+    asked = goal.body_height, goal.lift, goal.gait
+    return VelocityCommand(now_ns, velocity, yaw_rate, *asked, auto_speed=goal.auto_speed)
 
 
 def same_goal(a: Goal, b: Goal) -> bool:

@@ -24,7 +24,7 @@ from sextant.deploy.terminal.run_command import run_command
 from sextant.evaluation.lockstep import lockstep_run
 from sextant.evaluation.report import Report, write
 from sextant.evaluation.trials import environment, trials
-from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.scenario.scenario import Scenario, Walk
 from sextant.shared.wire.codec import schema_id
 from sextant.shared.wire.messages import ActuatorState, GaitName, Mode, schema
 from sextant.shared.wire.topics import TOPICS
@@ -513,16 +513,18 @@ def test_trials_begun_by_another_program_version_are_refused(
     assert "restore commit abc1234" in capsys.readouterr().err
 
 
-def test_robot_and_gait_options_override_scenario(
+def test_robot_and_walk_options_override_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.evaluation.lockstep import lockstep_run
 
     walked: list[str] = []
     ways: list[tuple[str, float]] = []
+    walks: list[Walk] = []
 
     def run(scenario: Scenario, seed: int) -> Report:
         walked.append(scenario.robot)
+        walks.append(scenario.walk)
         ways.append((scenario.walk.gait, scenario.time_limit_s))
         return report(True, seed)
 
@@ -535,6 +537,15 @@ def test_robot_and_gait_options_override_scenario(
     (gait, before), *_, (slow_gait, after) = ways
     assert (gait, slow_gait) == ("tripod", "wave")
     assert after > 3 * before  # five strides with a sixth of the legs at a time take longer
+    ways.clear()
+    walks.clear()
+    for given in (["--speed", "0.055"], ["--gait", "auto", "--speed", "auto", "--height", "0.09"]):
+        assert cli.main([*words, *given, "--out", str(tmp_path / given[-1])]) == 0
+    (slow, auto), ((_, longer), (_, same)) = walks, ways
+    assert (slow.speed, slow.auto_speed, longer) == (0.055, False, 2 * before)
+    assert (auto.gait, auto.auto_speed, auto.body_height, same) == ("auto", True, 0.09, before)
+    assert cli.main([*words, "--speed", "fast", "--out", str(tmp_path / "fast")]) == 2
+    assert "auto, or a speed from 0.001 to 10 m/s expected, found 'fast'" in capsys.readouterr().err
     assert cli.main([*words, "--robot", "nobody", "--out", str(tmp_path / "nobody")]) == 2
     assert "no profile 'nobody'" in capsys.readouterr().err
 

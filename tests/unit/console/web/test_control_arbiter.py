@@ -196,6 +196,21 @@ def test_same_page_number_of_other_console_is_another_client(office: Office) -> 
     assert not [m for m in there.beat(office.now + 50 * MS, office.state(), office.status()) if isinstance(m, VelocityCommand)]
 
 
+def test_gait_auto_leaves_the_speed_to_the_planner_too(office: Office) -> None:
+    def auto(request: Drive | GoTo) -> Drive | GoTo:
+        return replace(request, walk=replace(request.walk, gait="auto"))
+
+    office.hold(1, press=1)
+    assert not any(command.auto_speed for command in velocities(office.out))
+    assert office.ask(1, auto(drive(1))) == ""
+    (command,) = velocities(office.beat(50 * MS))
+    assert (command.gait, command.auto_speed) == ("auto", True)
+    office.ask(1, Release())
+    assert office.ask(1, auto(GO)) == ""
+    goals = [m for _ in range(20) for m in (office.ask(1, Heartbeat()), *office.beat()) if isinstance(m, Goal)]
+    assert {(goal.gait, goal.auto_speed) for goal in goals} == {("auto", True)}
+
+
 def test_goal_is_repeated_until_arrival(office: Office) -> None:
     assert office.ask(1, GO) == ""
     out = [m for _ in range(50) for m in (office.ask(1, Heartbeat()), *office.beat()) if m]

@@ -67,7 +67,7 @@ def test_missing_or_extra_field_is_named(fields: dict[str, Any], _: object) -> N
         ({**DRIVE, "forward": 10**400}, "forward: a number"),
         ({**DRIVE, "press": -1}, "press: a whole number"),
         ({**DRIVE, "press": 1.0}, "press: a whole number"),
-        ({**DRIVE, "gait": "gallop"}, "gait: one of tripod, ripple, wave expected, found gallop"),
+        ({**DRIVE, "gait": "gallop"}, "gait: one of tripod, ripple, wave, auto expected, found gallop"),
         ({**DRIVE, "blind_walking": 1}, "blind_walking: true or false"),
         ({**GO, "waypoints": []}, "waypoints: 1 to 16 points"),
         ({**GO, "waypoints": [[1.0]]}, r"waypoints: points \[x, y\]"),

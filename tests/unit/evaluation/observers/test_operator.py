@@ -267,6 +267,16 @@ def test_operator_gives_up_without_actuator_messages():
     assert "within 60 s" in operator.reason
 
 
+@pytest.mark.parametrize("route", [False, True])
+def test_operator_that_leaves_the_speed_to_the_planner_asks_for_all_of_it(route: bool) -> None:
+    auto = replace(SCENARIO, goal=Goal(1.5, route=route), walk=replace(SCENARIO.walk, gait="auto", speed=0.03, auto_speed=True))
+    robot = Robot(scenario=auto).run(400)
+    sent = robot.goals if route else robot.velocities
+    assert {(request.gait, request.auto_speed) for request in sent} == {("auto", True)}
+    fastest = load_profile(SCENARIO.robot).stance.max_speed
+    assert (sent[-1].speed if route else max(np.linalg.norm(v.velocity) for v in sent)) == pytest.approx(fastest)
+
+
 def test_operator_publishes_route_goal_without_velocities():
     route = replace(SCENARIO, goal=Goal(1.5, route=True, waypoints=((0.5, 0.2),)))
     robot = Robot(scenario=route).run(400)

@@ -120,6 +120,18 @@ def test_plan_without_answer_from_resting_legs_is_unanswered(plans: PlanTracker)
     assert not plans.is_unanswered(state(800)), "a refusal is an answer"
 
 
+def test_plan_of_the_next_step_is_settled_shortly_before_the_step(plans: PlanTracker) -> None:
+    running = plans.send(state(), numbered())  # of 1 s
+    plans.update(during(running, 20))
+    assert not plans.is_settled(during(running, 900, phase=0.9)), "there is no next step"
+    queued = plans.send(during(running, 900), numbered(2, ~TRIPOD))
+    assert not plans.is_settled(during(running, 800, phase=0.8))
+    assert plans.is_settled(during(running, 900, phase=0.9))
+    assert not plans.is_settled(during(running, 1020, phase=1.0)), "the legs rest"
+    plans.update(during(running, 920, refused_plan_ns=queued.stamp_ns))
+    assert not plans.is_settled(during(running, 920, phase=0.92)), "another way is needed"
+
+
 def test_feet_are_measured_after_a_rest(plans: PlanTracker) -> None:
     plan = plans.send(state(), numbered())
     plans.update(during(plan, 1_000))

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
-from sextant.services.planner.locomotion.gait import GAITS, directions, swing_order
+from sextant.services.planner.locomotion.gait import GAITS, Pace, directions, swing_order
 from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
 from sextant.services.planner.locomotion.swing_clearance import descent_clearance
+from sextant.services.planner.locomotion.swing_motion import shortest_swing_s
 from sextant.services.planner.terrain import Terrain, flat_terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, within_limits
@@ -590,3 +591,17 @@ def test_body_shifts_to_give_folded_leg_clearance_from_riser(make_terrain: Maker
     pushed, _ = PLANNER.choose(situations, block, others | {way})
     assert isinstance(pushed, PlannedStep)
     assert pushed.swing[0], "the last resort, once the actuator refuses the shift as well"
+
+
+def test_faster_pace_shortens_a_step_within_the_speed_of_the_servos(make_terrain: Maker) -> None:
+    at, terrain = standing(command(0.05)), make_terrain()
+    usual = PLANNER.plan(at, terrain)
+    quick = PLANNER.plan(replace(at, pace=Pace(0.5, 2.0 * PROFILE.stance.foot_speed)), terrain)
+    reckless = PLANNER.plan(replace(at, pace=Pace(0.3, 100.0)), terrain)
+    assert isinstance(usual, PlannedStep)
+    assert isinstance(quick, PlannedStep)
+    assert isinstance(reckless, PlannedStep)
+    assert quick.duration < usual.duration
+    bodies = at.T_world_body, reckless.body_goal, StepParams().max_joint_speed
+    in_air = shortest_swing_s(PROFILE, reckless.start, reckless.touchdown, reckless.clearance, *bodies)
+    assert reckless.duration >= in_air[reckless.swing].max()

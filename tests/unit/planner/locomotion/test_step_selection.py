@@ -120,3 +120,29 @@ def test_revision_changes_only_the_touchdowns(stop: bool, steps: StepSelector, p
     assert revised is not None
     assert not np.allclose(revised.planned.touchdown, plan.touchdown)
     assert (revised.number, revised.variant, revised.stop) == (plan.step, decision.step.variant, stop)
+
+
+def test_choice_of_gait_is_in_the_reason_and_a_faster_pace_in_the_step(steps: StepSelector, make_terrain: Maker) -> None:
+    command = replace(AHEAD, velocity=np.array([PROFILE.stance.max_speed, 0.0]), lift=0.025)
+    explicit = steps.select((command,), robot(), make_terrain())
+    auto = steps.select((replace(command, gait="auto", auto_speed=True),), robot(), make_terrain())
+    assert explicit.step is not None
+    assert auto.step is not None
+    assert auto.reason.startswith("tripod at ")
+    assert "even ground: 100% of its cells carry a foot; 0 of 3 footholds moved" in auto.reason
+    assert auto.step.planned.duration < 0.85 * explicit.step.planned.duration
+    assert auto.step.planned.clearance.max() < explicit.step.planned.clearance.max()
+    assert steps.select((command,), robot(), make_terrain()).reason == explicit.reason, "an explicit request is as before"
+
+
+def test_robot_that_finds_no_step_tries_another_gait(steps: StepSelector, make_terrain: Maker) -> None:
+    nothing = make_terrain(score=lambda x, y: 0.0 * x + 5.0)
+    auto = replace(AHEAD, gait="auto", auto_speed=True)
+    gaits = []
+    for second in range(5):
+        at = robot()
+        at = RobotEstimate(replace(at.state, stamp_ns=(second + 1) * 10**9), at.pose)
+        assert steps.select((auto,), at, nothing).state == "blocked"
+        assert steps.auto_gait.choice is not None
+        gaits.append(steps.auto_gait.choice.walk.gait)
+    assert gaits == ["tripod", "tripod", "tripod", "ripple", "ripple"]
