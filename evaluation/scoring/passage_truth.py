@@ -8,7 +8,7 @@ import numpy as np
 from sextant.evaluation.trace.course import Course
 from sextant.evaluation.whole_maps.strip import RESOLUTION, strip_of
 from sextant.services.planner.gap_crossing.params import GapApproachParams
-from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP
+from sextant.services.planner.gap_crossing.strip_survey import BEHIND, STRIP, TURNING_WIDTH
 from sextant.services.planner.roadmap.exhaustive import passable
 from sextant.services.planner.roadmap.params import BareGroundParams, PassageSettings
 from sextant.services.planner.roadmap.roadmap import Stance
@@ -43,7 +43,7 @@ def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> boo
     """
     height = profile.stance.height_or_own(scenario.walk.body_height)
     near = gap_begins(course, scenario.goal.distance) - GapApproachParams().start_distance_m - BEHIND
-    field = strip_from(course, near, height)
+    field = strip_from(course, near, height, TURNING_WIDTH)
     goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near, BareGroundParams())
     if goal_x is None:
         return True
@@ -62,12 +62,12 @@ def gap_begins(course: Course, until: float) -> float:
     return float(x[int(np.argmax(bare))]) if bare.any() else until
 
 
-def strip_from(course: Course, near: float, body_height: float) -> StripMap:
-    """Return the strip whose near side is at x = `near` [m] {start}.
+def strip_from(course: Course, near: float, body_height: float, width: float = STRIP[1]) -> StripMap:
+    """Return the strip of a width [m] whose near side is at x = `near` [m] {start}.
 
     The robot's body height is `body_height` [m].
     """
-    n = [round(length / RESOLUTION) for length in STRIP]
+    n = [round(length / RESOLUTION) for length in (STRIP[0], width)]
     x, y = near + RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
     heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(n)
     return strip_of(np.ascontiguousarray(heights, dtype=np.float32), body_height)

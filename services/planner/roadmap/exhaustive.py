@@ -3,8 +3,9 @@
 **Footholds** are all those that the roadmap may choose (`roadmap_search.candidates`), grouped in tiles. A narrow piece of
 ground has three tiles: around its first and last good place along the strip, and around its middle. Ground that is wide in both
 directions is one tile. A foot on a tile may be at any of its places within reach, and may move among them at any time. The
-**body** uses the roadmap's lattice and its cone of motions. A configuration is a lattice place of the body, and a tile for each
-foot.
+**body** uses the roadmap's lattice and its cone of motions. If it turns, its headings are grouped in bins of 15 deg and its
+places in squares of 2 cm: what is possible at any heading of a bin and any place of a square counts as possible at all of them.
+A configuration is a place and a heading of the body, and a tile for each foot.
 
 **Tests** are necessary conditions: reach, foot placement, distance between feet, and support. The support polygon has a margin
 around the centre of mass only if every edge has this margin. An edge joins two neighbouring feet, and has it only if both feet
@@ -15,8 +16,8 @@ The **height** of the body is that over any floor between the lowest and the hig
 roadmap chooses it, it is up to 7 cm more or less.
 
 The tests of the roadmap that are left out could only refuse more: torque, distances between legs, and clearance of trunk,
-shanks and swings over the ground. The remaining configurations are few enough to search all of them. If none of them leads
-across, there is no path at this discretisation.
+shanks and swings over the ground. The remaining configurations are often few enough to search all of them. If none of them
+leads across, there is no path at this discretisation.
 """
 
 import math
@@ -29,10 +30,11 @@ from numpy.typing import NDArray
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.roadmap import Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap_search import Rules
 from sextant.services.planner.roadmap.search_tables import legs_of, rules_of
 from sextant.services.planner.roadmap.sections import is_uneven
 from sextant.services.planner.roadmap.strip_map import StripMap
-from sextant.shared.geometry import Array
+from sextant.shared.geometry import Array, rotation_z
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.compiled import compiled
 
@@ -43,28 +45,29 @@ _WIDE_M = 0.50  # [m] ground longer and wider than this is one tile
 _NARROW_M = 0.08  # [m] maximum extent of a piece with three tiles; a longer one is divided into several pieces
 _SWAY_M = 0.07  # [m] of the body's height over the floor to lower and higher places on an uneven strip; trunk and legs limit it
 _MAX_CONFIGURATIONS = 4_000_000  # maximum number of configurations
-_MAX_TILES, _MAX_SIDES = 255, 63  # limits of the encoding of a configuration
+_MAX_CODE = 2**63  # limit of the encoding of a configuration
+_BIN, _SQUARE = 5, 2  # [lattice steps] of a body that turns: headings of a bin, edge of a square of places
 
 
 class Tiles(NamedTuple):
-    """Properties of tiles at each lattice place of the body."""
+    """Properties of tiles at each place and heading of the body."""
 
-    out: NDArray[np.uint64]  # (6, tiles, nx, ny, 2) directions, as bits, in which a leg's foot on a tile is far enough out
-    near: NDArray[np.int16]  # (6, nx, ny, k) tiles within a leg's reach, then -1
+    out: NDArray[np.uint64]  # (bins, 6, tiles, nx, ny, 2) directions, as bits, in which a foot on a tile is far enough out
+    near: NDArray[np.int16]  # (bins, 6, nx, ny, k) tiles within a leg's reach, then -1
     apart: NDArray[np.bool_]  # (tiles, tiles) whether one foot may stand on each
-    onward: NDArray[np.bool_]  # (tiles, tiles) whether a foot may step from the first to the second
-    moves: NDArray[np.int64]  # (m, 2) body motions, in lattice steps
+    onward: NDArray[np.bool_]  # (bins, tiles, tiles) whether a foot may step from the first to the second
+    moves: NDArray[np.int64]  # (m, 3) body motions: bin of headings, and squares along and across
 
 
 def passable(
     profile: RobotProfile, settings: PassageSettings, field: StripMap, stance: Stance, goal_x: float, attempts: int = _ATTEMPTS
 ) -> bool | None:
-    """Decide whether a path exists; offline, in up to a minute.
+    """Decide whether a path exists; offline, in up to some minutes.
 
     Returns:
         True if the roadmap finds a path within `attempts`, straight on or with turns of the body. False if it does not, and
-        `has_way` finds that there is none straight on. None if undecided: a test that `has_way` leaves out may exclude all
-        paths, or the roadmap may have missed one.
+        `has_way` finds that there is none, straight on or with turns. None if undecided: a test that `has_way` leaves out may
+        exclude all paths, or the roadmap may have missed one.
     """
     roadmap = Roadmap(profile, settings)
     for turning, seed in product((False, True), range(attempts)):
@@ -73,7 +76,8 @@ def passable(
             pass
         if isinstance(found, SectionPlan) and found.complete:
             return True
-    return False if has_way(profile, settings, field, stance, goal_x) is False else None
+    ways = (has_way(profile, settings, field, stance, goal_x, turning=turning) for turning in (False, True))
+    return False if all(way is False for way in ways) else None
 
 
 def has_way(
@@ -83,6 +87,7 @@ def has_way(
     stance: Stance,
     goal_x: float,
     room: int = _MAX_CONFIGURATIONS,
+    turning: bool = False,
 ) -> bool | None:
     """Return whether a path exists under the necessary conditions of this module.
 
@@ -95,6 +100,7 @@ def has_way(
         stance: First stance.
         goal_x: [m] {strip} goal of the body.
         room: Maximum number of configurations.
+        turning: Whether the body may turn; otherwise it faces along the strip.
 
     Returns:
         None if there are more configurations than `room`.
@@ -102,22 +108,35 @@ def has_way(
     Raises:
         ValueError: A foot of the first stance is not on a foothold, or resolution and lattice differ.
     """
-    rules = rules_of(profile, settings)
-    tile = _tile_map(field, settings)
+    rules, edge = rules_of(profile, settings, turning), _SQUARE if turning else 1
+    tile, headings = _tile_map(field, settings), _headings(rules)
     start = np.rint(stance.body[:2] / rules.lattice).astype(np.int64)
     sides = max(math.floor(rules.drift / rules.lattice + 1e-6), abs(int(start[1])))
-    size = math.ceil(goal_x / rules.lattice - 1e-6) - int(start[0]) + 1, 2 * sides + 1
-    if tile.max() >= _MAX_TILES or size[1] > _MAX_SIDES:
+    ahead = math.ceil(goal_x / rules.lattice - 1e-6) - int(start[0])
+    size = ahead // edge + 1, 2 * sides // edge + 1
+    if math.prod(size) * len(headings) * (int(tile.max()) + 1) ** 6 >= _MAX_CODE:
         return None
     cells = np.floor((stance.feet[:, :2] - field.first_cell) / field.resolution + 0.5).astype(int)
     standing = tile[cells[:, 0], cells[:, 1]]
     if (standing < 0).any():
         raise ValueError(f"every foot on a foothold expected, found {stance.feet[standing < 0]} off footholds")
-    tiles = _tiles(profile, settings, field, tile, (int(start[0]), -sides), size)
+    tiles = _tiles(profile, settings, rules, field, tile, headings, (int(start[0]), -sides), size, edge)
     known = np.zeros(1 << math.ceil(math.log2(2 * room)), dtype=np.uint64)
     node, after, first = np.zeros(room, np.uint64), np.zeros(room, np.int32), np.full(size[0], -1, np.int32)
-    found = _grow(tiles, standing.astype(np.int64), int(start[1]) + sides, known, node, after, first)
+    heading = int(np.argmin([np.abs(yaws - stance.yaw).min() for yaws in headings]))
+    place = (int(start[1]) + sides) // edge, heading
+    found = _grow(tiles, standing.astype(np.int64), *place, known, node, after, first)
     return None if found < 0 else found > 0
+
+
+def _headings(rules: Rules) -> list[Array]:
+    """Return the headings [rad] {strip} of each bin, from right to left."""
+    if rules.yaw_change == 0:
+        return [np.zeros(1)]
+    half, most = _BIN // 2, rules.yaw_most
+    bins = max(math.ceil((most - half) / _BIN), 0)
+    steps = [np.arange(max(_BIN * k - half, -most), min(_BIN * k + half, most) + 1) for k in range(-bins, bins + 1)]
+    return [np.asarray(rules.yaw_step * some) for some in steps]
 
 
 def _tile_map(field: StripMap, settings: PassageSettings) -> NDArray[np.int16]:
@@ -151,53 +170,81 @@ def _tile_map(field: StripMap, settings: PassageSettings) -> NDArray[np.int16]:
 def _tiles(
     profile: RobotProfile,
     settings: PassageSettings,
+    rules: Rules,
     field: StripMap,
     tile: NDArray[np.int16],
+    headings: list[Array],
     corner: tuple[int, int],
     size: tuple[int, int],
+    edge: int,
 ) -> Tiles:
     """Compute the properties of tiles (nx, ny).
 
-    `corner` and `size` define the body places on the lattice.
+    `corner` and `size` define the squares of body places, `edge` lattice steps long.
     """
-    rules, count = rules_of(profile, settings), int(tile.max()) + 1
+    count = int(tile.max()) + 1
     if abs(rules.lattice - field.resolution) > 1e-9:
         raise ValueError(f"a cell size equal to the body lattice ({rules.lattice} m) expected, found {field.resolution} m")
     # 1. Places of feet relative to the body, and the directions in which they are far enough out; then the same for tiles.
     carrying = field.elevation[tile >= 0]
     low, high = float(carrying.min()), float(carrying.max())
-    sway = math.ceil(_SWAY_M / rules.lattice) if is_uneven(field, settings.uneven_m) else 0
-    window = _window(profile, settings, np.array(field.first_cell), low - high - sway * rules.lattice)
-    out = np.zeros((6, count, *size, _WORDS), dtype=np.uint64)
+    sway = math.ceil((_SWAY_M if is_uneven(field, settings.uneven_m) else rules.sway) / rules.lattice - 1e-6)
+    out = np.zeros((len(headings), 6, count, *size, _WORDS), dtype=np.uint64)
     first = np.floor(np.array(field.first_cell) / rules.lattice + 1e-9).astype(np.int64) - corner
-    level = np.rint(np.where(tile >= 0, field.elevation - high, 0.0) / rules.lattice).astype(np.int64) + (window.shape[1] - 1)
-    floors = (window.shape[1] + 1) // 2 + sway
-    _combine_directions(window, tile, level, first, window.shape[2] // 2, floors, out)
+    for k, yaws in enumerate(headings):
+        window = _window(profile, settings, np.array(field.first_cell), low - high - sway * rules.lattice, yaws)
+        level = np.rint(np.where(tile >= 0, field.elevation - high, 0.0) / rules.lattice).astype(np.int64)
+        floors = (window.shape[1] + 1) // 2 + sway
+        places = np.zeros((6, count, *(edge * n + 1 for n in size), _WORDS), dtype=np.uint64)
+        _combine_directions(window, tile, level + (window.shape[1] - 1), first, window.shape[2] // 2, floors, places)
+        for i, j in product(range(edge + 1 if edge > 1 else 1), repeat=2):  # all corners of the squares
+            out[k] |= places[:, :, i : i + edge * size[0] : edge, j : j + edge * size[1] : edge]
     # 2. The tiles within reach come first in each leg's list.
-    reached = out.any(axis=-1)  # (6, tiles, nx, ny)
-    near = np.argsort(~reached, axis=1, kind="stable")[:, : int(reached.sum(axis=1).max())]
-    near = np.where(np.take_along_axis(reached, near, axis=1), near, -1).astype(np.int16)
+    reached = out.any(axis=-1)  # (bins, 6, tiles, nx, ny)
+    near = np.argsort(~reached, axis=2, kind="stable")[:, :, : int(reached.sum(axis=2).max())]
+    near = np.where(np.take_along_axis(reached, near, axis=2), near, -1).astype(np.int16)
     # 3. Permitted pairs of tiles, and the body's cone.
     ends = np.array([[f(np.argwhere(tile == t), axis=0) for f in (np.min, np.max)] for t in range(count)])
     widest = np.maximum(ends[:, None, 1] - ends[None, :, 0], ends[None, :, 1] - ends[:, None, 0]) * field.resolution
     apart = np.linalg.norm(widest, axis=-1) >= rules.feet_apart - 1e-9
-    onward = (ends[None, :, 1, 0] - ends[:, None, 0, 0]) * field.resolution >= -rules.backward - 1e-9
+    most, least = ends[None, :, 1] - ends[:, None, 0], ends[None, :, 0] - ends[:, None, 1]  # (tiles, tiles, 2) [cells] onward
+    onward = np.stack([_reaches(most, least, yaws) * field.resolution >= -rules.backward - 1e-9 for yaws in headings])
     distance, phi = np.meshgrid(np.linspace(0.0, rules.body_high, 200), rules.body_angle * np.linspace(-1.0, 1.0, 200))
     steps = np.stack([distance * np.cos(phi), distance * np.sin(phi)], axis=-1).reshape(-1, 2)
-    moves = np.unique(np.rint(steps / rules.lattice).astype(np.int64), axis=0)
-    return Tiles(out, np.ascontiguousarray(near.transpose(0, 2, 3, 1)), apart, onward, moves)
+    moves = [_moves(steps / rules.lattice, yaws, edge) for yaws in headings]
+    which = np.repeat(np.arange(len(headings)), [len(some) for some in moves])
+    motions = np.column_stack([which, np.concatenate(moves)])
+    return Tiles(out, np.ascontiguousarray(near.transpose(0, 1, 3, 4, 2)), apart, onward, motions)
 
 
-def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, lowest: float) -> NDArray[np.uint64]:
+def _reaches(most: Array, least: Array, yaws: Array) -> Array:
+    """Return the largest distances (...) ahead, at any of some headings [rad], of motions between two limits (..., 2)."""
+    c, s = np.cos(yaws), np.sin(yaws)
+    ahead = c * most[..., :1] + np.maximum(s * most[..., 1:], s * least[..., 1:])
+    return np.asarray(ahead.max(axis=-1))
+
+
+def _moves(steps: Array, yaws: Array, edge: int) -> NDArray[np.int64]:
+    """Return the motions (m, 2) in squares of `edge` for motions (n, 2) [lattice steps] at any of some headings [rad]."""
+    turned = np.concatenate([steps @ rotation_z(yaw)[:2, :2].T for yaw in yaws])
+    if edge == 1:
+        return np.unique(np.rint(turned).astype(np.int64), axis=0)
+    begins = np.stack(np.meshgrid([0.0, 1.0 - 1e-9], [0.0, 1.0 - 1e-9]), axis=-1).reshape(-1, 1, 2)  # within a square
+    return np.unique(np.floor(turned / edge + begins).astype(np.int64).reshape(-1, 2), axis=0)
+
+
+def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, lowest: float, yaws: Array) -> NDArray[np.uint64]:
     """Return the directions in which a foot is far enough out, for each leg and each foot offset from the body.
 
-    The shape is (6, levels, n, n, words). An offset out of the leg's reach has no direction.
+    The shape is (6, levels, n, n, words). An offset out of the leg's reach has no direction. Directions at several headings are
+    united.
 
     Args:
         profile: The robot.
         settings: Settings of the roadmap.
         corner: (2,) [m] any foot place. The grid of foot places has the same offset from the body's lattice everywhere.
         lowest: [m] lowest ground relative to the floor under the body, negative; the highest is as far above that floor.
+        yaws: (k,) [rad] {strip} headings of the body.
     """
     rules, legs = rules_of(profile, settings), legs_of(profile, settings)
     levels = rules.lattice * np.arange(
@@ -207,12 +254,13 @@ def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, low
     lattice = rules.lattice * np.stack(np.meshgrid(*[np.arange(-k, k + 1)] * 2, indexing="ij"), axis=-1)
     off = lattice + corner - rules.lattice * np.floor(corner / rules.lattice + 1e-9)
     window = np.zeros((6, len(levels), *off.shape[:2], _WORDS), dtype=np.uint64)
-    centre = np.array([rules.centre_x, rules.centre_y])
-    bits, found = _directions(off - centre, rules.margin), np.zeros(off.shape[0] * off.shape[1], dtype=np.int64)
-    for leg, (n, level) in product(range(6), enumerate(levels)):
+    centre, found = np.array([rules.centre_x, rules.centre_y]), np.zeros(off.shape[0] * off.shape[1], dtype=np.int64)
+    for yaw, leg, (n, level) in product(yaws, range(6), enumerate(levels)):
+        R_strip_body = rotation_z(yaw)[:2, :2]
+        bits = _directions(off - R_strip_body @ centre, rules.margin)
         z = np.full(off.shape[:2], level + rules.foot_radius - rules.height)
-        roadmap_search.landings(legs, leg, np.ascontiguousarray(np.dstack([off, z]).reshape(-1, 3)), found)
-        window[leg, n] = np.where((found == roadmap_search.OK).reshape(off.shape[:2])[..., None], bits, np.uint64(0))
+        roadmap_search.landings(legs, leg, np.ascontiguousarray(np.dstack([off @ R_strip_body, z]).reshape(-1, 3)), found)
+        window[leg, n] |= np.where((found == roadmap_search.OK).reshape(off.shape[:2])[..., None], bits, np.uint64(0))
     return window
 
 
@@ -291,8 +339,8 @@ def _combine_directions(
 
 
 @compiled
-def _is_supported(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int, x: int, y: int) -> bool:
-    """Return whether the legs other than `swing` can support the body at a place from their tiles."""
+def _is_supported(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int, x: int, y: int, heading: int) -> bool:
+    """Return whether the legs other than `swing` can support the body at a place and heading from their tiles."""
     for a in range(6):
         if a == swing:
             continue
@@ -301,7 +349,7 @@ def _is_supported(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int,
             b = (b + 1) % 6
         both = False
         for w in range(out.shape[4]):
-            both = both or (out[a, tiles[a], x, y, w] & out[b, tiles[b], x, y, w]) != 0
+            both = both or (out[heading, a, tiles[a], x, y, w] & out[heading, b, tiles[b], x, y, w]) != 0
         if not both:
             return False
     return True
@@ -311,7 +359,9 @@ def _is_supported(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int,
 def _add_configuration(
     x: int,
     y: int,
+    heading: int,
     tiles: NDArray[np.int64],
+    sizes: tuple[int, int, int],
     seen: NDArray[np.uint64],
     codes: NDArray[np.uint64],
     next_open: NDArray[np.int32],
@@ -320,11 +370,12 @@ def _add_configuration(
 ) -> int:
     """Add a configuration to the open list of its row, unless it was seen before.
 
-    Return the number of configurations, -1 if there are too many.
+    `sizes` are the numbers of squares across, of headings and of tiles. Return the number of configurations, -1 if there are
+    too many.
     """
-    code = np.uint64(x) << np.uint64(6) | np.uint64(y)
+    code = (np.uint64(x) * np.uint64(sizes[0]) + np.uint64(y)) * np.uint64(sizes[1]) + np.uint64(heading)
     for leg in range(6):
-        code = code << np.uint64(8) | np.uint64(tiles[leg])
+        code = code * np.uint64(sizes[2]) + np.uint64(tiles[leg])
     code += np.uint64(1)
     h = (code ^ (code >> np.uint64(31))) * np.uint64(0xFF51AFD7ED558CCD)
     mask = np.uint64(len(seen) - 1)
@@ -344,6 +395,7 @@ def _grow(
     ground: Tiles,
     standing: NDArray[np.int64],
     y: int,
+    heading: int,
     seen: NDArray[np.uint64],
     codes: NDArray[np.uint64],
     next_open: NDArray[np.int32],
@@ -357,7 +409,8 @@ def _grow(
     Args:
         ground: The tiles.
         standing: (6,) tile of each foot at the start.
-        y: Lattice place of the body across the strip, at the start.
+        y: Square of the body across the strip, at the start.
+        heading: Bin of the body's heading at the start.
         seen: Hash table of the configurations' codes, 0 where free.
         codes: Code of each configuration: body place and six tiles.
         next_open: Next configuration in the list of its row, -1 at the end.
@@ -365,44 +418,49 @@ def _grow(
     """
     out, near, apart, onward, moves = ground
     tiles, steps = standing.copy(), standing.copy()
+    sizes = (out.shape[4], out.shape[0], out.shape[2])
     x = 0
-    count = _add_configuration(0, y, tiles, seen, codes, next_open, first_open, 0)
+    count = _add_configuration(0, y, heading, tiles, sizes, seen, codes, next_open, first_open, 0)
     while x >= 0:
         if first_open[x] < 0:
             x -= 1
             continue
-        if x == out.shape[2] - 1:
+        if x == out.shape[3] - 1:
             return 1
         n = first_open[x]
         first_open[x] = next_open[n]
         code = codes[n]
         for leg in range(5, -1, -1):
-            tiles[leg] = code & np.uint64(255)
-            code = code >> np.uint64(8)
-        y = code & np.uint64(63)
+            tiles[leg] = code % np.uint64(sizes[2])
+            code = code // np.uint64(sizes[2])
+        heading = int(code % np.uint64(sizes[1]))
+        y = int(code // np.uint64(sizes[1]) % np.uint64(sizes[0]))
         at = x
         for leg in range(-1, 6):
-            if leg >= 0 and not _is_supported(out, tiles, leg, at, y):
+            if leg >= 0 and not _is_supported(out, tiles, leg, at, y, heading):
                 continue
             for m in range(len(moves)):
-                u, v = at + moves[m, 0], y + moves[m, 1]
-                if u >= out.shape[2] or v < 0 or v >= out.shape[3] or not _is_supported(out, tiles, leg, u, v):
+                u, v = at + moves[m, 1], y + moves[m, 2]
+                if moves[m, 0] != heading or u < 0 or u >= out.shape[3] or v < 0 or v >= out.shape[4]:
                     continue
-                if leg < 0:
-                    count = _add_configuration(u, v, tiles, seen, codes, next_open, first_open, count)
-                    x = max(x, u)
-                for k in range(near.shape[3] if leg >= 0 else 0):
-                    t = near[leg, u, v, k]
+                for to in range(max(heading - 1, 0), min(heading + 2, len(out))):  # it turns while all feet stand
+                    if leg < 0 and count >= 0 and _is_supported(out, tiles, leg, u, v, to):
+                        count = _add_configuration(u, v, to, tiles, sizes, seen, codes, next_open, first_open, count)
+                        x = max(x, u)
+                if leg >= 0 and not _is_supported(out, tiles, leg, u, v, heading):
+                    continue
+                for k in range(near.shape[4] if leg >= 0 else 0):
+                    t = near[heading, leg, u, v, k]
                     if t < 0:
                         break
-                    fits = onward[tiles[leg], t]
+                    fits = onward[heading, tiles[leg], t]
                     for other in range(6):
                         fits = fits and (other == leg or apart[tiles[other], t])
                     if not fits:
                         continue
                     steps[:] = tiles
                     steps[leg] = t
-                    count = _add_configuration(u, v, steps, seen, codes, next_open, first_open, count)
+                    count = _add_configuration(u, v, heading, steps, sizes, seen, codes, next_open, first_open, count)
                     x = max(x, u)
                     if count < 0:
                         return -1
