@@ -207,3 +207,8 @@ def in_words(built: Sequence[Built]) -> str:
 def to_json(built: Sequence[Built]) -> str:
     """Return all rides as JSON."""
     return json.dumps([asdict(one) for one in built], indent=1) + "\n"
+
+
+def from_json(text: str) -> list[Built]:
+    """Return the rides of `to_json`."""
+    return [Built(**one) for one in json.loads(text)]

@@ -233,8 +233,8 @@ def _campaign(group: str, variant: options.Variant, seeds: Sequence[int], blind:
 )
 @option(
     "--of",
-    "content of the table: walks, goals reached, missteps, map errors, passages, or each planned section of the passages",
-    type=Choice(("walks", "reached", "missteps", "maps", "passages", "sections")),
+    "content: walks, goals reached, those next to other planners, missteps, map errors, passages, or planned sections of these",
+    type=Choice(("walks", "reached", "baselines", "missteps", "maps", "passages", "sections")),
     default="walks",
 )
 @option(
@@ -248,8 +248,8 @@ def _campaign(group: str, variant: options.Variant, seeds: Sequence[int], blind:
 @flag("--json", "print all of it as JSON", "as_json")
 def table(kept: tuple[str, ...], of: str, style: str, columns: str, as_json: bool) -> int:
     """Print a table of stored trials without running anything."""
+    from sextant.evaluation.trials import baselines_table, passage_table, results_store
     from sextant.evaluation.trials import campaign_table as tables
-    from sextant.evaluation.trials import passage_table, results_store
     from sextant.evaluation.trials.table_text import FORMATS, selected
 
     if as_json and (columns or style != "markdown"):
@@ -263,7 +263,8 @@ def table(kept: tuple[str, ...], of: str, style: str, columns: str, as_json: boo
         say(tables.to_json(tables.of_runs(runs)).rstrip("\n"))
         return SUCCESS
     seeds = bool(columns) or style == "csv"
-    found = passage_table.content(runs) if of == "sections" else tables.content(tables.of_runs(runs), of, seeds)
+    own = {"sections": passage_table.content, "baselines": baselines_table.content}
+    found = own[of](runs) if of in own else tables.content(tables.of_runs(runs), of, seeds)
     found = selected(found, columns.split(",")) if columns else found
     say(FORMATS[style](found).rstrip("\n"))
     return SUCCESS

@@ -18,9 +18,10 @@ from benchmarks.campaign import evidence, table
 from benchmarks.campaign.part import load
 from benchmarks.faults import table as fault_table
 from benchmarks.fuzz import table as fuzz_table
+from benchmarks.peers import map_building
 from benchmarks.robot import fleet, link
 from sextant.evaluation.theses import planner_table
-from sextant.evaluation.trials import passage_table, results_store, table_text
+from sextant.evaluation.trials import baselines_table, passage_table, results_store, table_text
 from sextant.evaluation.trials.campaign_table import markdown, of_runs
 
 DOCS = Path(__file__).parents[1]
@@ -42,6 +43,7 @@ _TABLES: Mapping[str, Callable[[str], str]] = MappingProxyType(
         "faults_camera.json": _faults,
         "faults_legs.json": _faults,
         "faults_live.json": _faults,
+        "maps.json": lambda text: map_building.in_words(map_building.from_json(text)),
         "table_6_1.json": lambda _: table_text.markdown(planner_table.content(*planner_table.read(DOCS / "table_6_1.json"))),
         "evidence.json": lambda _: table.page(load(), evidence.read()),
     }
@@ -74,6 +76,8 @@ def _table(words: list[str]) -> str:
     if files[0] in _TABLES:
         return _TABLES[files[0]]((DOCS / files[0]).read_text(encoding="utf-8")).strip()
     kind = words[words.index("--of") + 1] if "--of" in words else "walks"
+    if kind == "baselines":  # of all files together
+        return baselines_table.markdown(run for name in files for run in results_store.read(DOCS / name)).strip()
     texts = [_of_trials(DOCS / name, kind) for name in files]
     if "--rows" not in words:
         return "\n".join(texts)

@@ -55,7 +55,7 @@ _NAMED: Mapping[str, str] = {**WALKED, **PASSAGES, **TROUBLED, **LEVELS["mild"],
 _OWN = {"foothold": "Sextant's foothold rule", "planner": "Sextant's step planner", "registration": "Sextant's registration"}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
 _WALKS: Columns = {
-    "goal reached": lambda t: _outcome(t),
+    "goal reached": lambda t: outcome(t),
     "falls": lambda t: str(t.falls),
     "shut down": lambda t: str(t.runs_with_shutdown),
     "cm/s": lambda t: f"{100 * t.mean_speed_mps:.1f}" if t.success.successes else "-",
@@ -67,7 +67,7 @@ _WALKS: Columns = {
     "torque rms, N m": lambda t: in_words(t.torque_rms_nm, 1.0, ".2f"),
 }
 _MISSTEPS: Columns = {
-    "goal reached": lambda t: _outcome(t),
+    "goal reached": lambda t: outcome(t),
     "missteps of a walk": lambda t: in_words(t.missteps, 1.0, ".0f"),
 }
 _MAPS: Columns = {
@@ -78,7 +78,7 @@ _MAPS: Columns = {
     "coverage, %": lambda t: in_words(t.map_coverage, 1e2, ".1f"),
 }
 _PASSAGES: Columns = {
-    "goal reached": lambda t: _outcome(t),
+    "goal reached": lambda t: outcome(t),
     "falls": lambda t: str(t.falls),
     "feet off": lambda t: _of_passages(t, lambda p: f"{p.feet_off} of {p.pillar_touchdowns}"),
     "from the edge, mm": lambda t: _of_passages(t, lambda p: in_words(p.foothold_edge_m, 1e3, ".0f")),
@@ -164,10 +164,15 @@ def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
     whole_files.write_text(out / "campaign.json", to_json(campaign), durable=True)
 
 
+def course_in_words(scenario: str, name: str = "") -> str:
+    """Return the name of a row, by default the scenario, in Markdown, with the description of its course."""
+    words = _NAMED.get(scenario, "")
+    return _ticked(name or scenario) + (f": {words}" if words else "")
+
+
 def _reached(campaign: Campaign, entry: Entry) -> list[str]:
-    words = _NAMED.get(entry.seeing.scenario, "")
-    course = _ticked(_name(campaign, entry.seeing)) + (f": {words}" if words else "")
-    return [course, _outcome(entry.seeing), _outcome(entry.blind) if entry.blind else ""]
+    course = course_in_words(entry.seeing.scenario, _name(campaign, entry.seeing))
+    return [course, outcome(entry.seeing), outcome(entry.blind) if entry.blind else ""]
 
 
 def _walked(campaign: Campaign) -> list[Trials]:
@@ -237,7 +242,7 @@ def _of_ways(t: Trials) -> Iterable[str]:
         yield f"`{t.scenario}`: crossed {_rate(crossed)} that have a way, entered {_rate(entered)} that have none{undecided}."
 
 
-def _outcome(t: Trials) -> str:
+def outcome(t: Trials) -> str:
     """Return the success rate, and the kind of success if it is not arrival."""
     either = t.passages is not None and t.passages.impassable > 0
     return _rate(t.success) + (", or rightly refused" if either else ", rightly refused" if t.refusals else "")

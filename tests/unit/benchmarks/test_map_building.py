@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import cli
 from benchmarks.peers import map_building
-from benchmarks.peers.map_building import MASRI, SEXTANT, Built, carries, in_words
+from benchmarks.peers.map_building import MASRI, SEXTANT, Built, carries, from_json, in_words, to_json
 
 
 def test_ground_next_to_a_step_carries_no_foot() -> None:
@@ -30,6 +30,7 @@ def test_table_has_median_and_worst_of_the_seeds() -> None:
     row = in_words(built).splitlines()[2]
     assert row.startswith("| flat | Masri 2016 | 2.0 (3.0) | 2.0 (2.0) |")
     assert "| 70 (60) |" in row
+    assert from_json(to_json(built)) == built
 
 
 @pytest.mark.slow
