@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.evaluation import report as reports
 from sextant.evaluation.figures.recorded_run import RecordedRun, recorded_run
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.evaluation.observers.run_observers import RECORDING
@@ -115,7 +116,8 @@ def _is_kept(place: Path) -> bool:
     """Return whether a walk is complete and can be read by this version."""
     try:
         read_json(place / _MADE)
+        report = read_json(place / reports.FILE)
         next(iter(read(place / RECORDING, [topics.TRUTH])))
     except (FileError, RecordingError, StopIteration):
         return False
-    return True
+    return not reports.check(report)

@@ -3,11 +3,12 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from sextant.deploy import cli
-from sextant.evaluation.theses import gallery
+from sextant.evaluation.theses import data, gallery
 from sextant.evaluation.theses.data import Data
 from sextant.evaluation.theses.inventory import Entry, Thesis, numbers
 from sextant.evaluation.theses.lotriet import LOTRIET
@@ -102,3 +103,14 @@ def test_list_names_each_figure(capsys: pytest.CaptureFixture[str]) -> None:
     for thesis in THESES:
         assert cli.main(["figures", thesis.name, "--list"]) == 0
         assert len(capsys.readouterr().out.splitlines()) == len(thesis.entries)
+
+
+def test_walk_of_another_version_is_walked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    walked: list[Path] = []
+    monkeypatch.setattr(data, "run_lockstep", lambda scenario, seed, place: walked.append(place) or SimpleNamespace(reason=""))
+    place = tmp_path / "walks" / "flat-0"
+    place.mkdir(parents=True)
+    (place / "made.json").write_text("{}")
+    (place / "report.json").write_text('{"scenario": "flat"}')
+    Data(tmp_path).prepare([("flat", 0)], 1)
+    assert walked == [place]
