@@ -159,5 +159,5 @@ def _draw_thesis(
     if as_json:
         say((folder / gallery.NUMBERS).read_text(encoding="utf-8"))
     else:
-        say(f"written to {folder}: {gallery.INDEX}, {gallery.NUMBERS} and {len(drawn)} figures")
+        say(f"written to {folder}: {gallery.INDEX}, {gallery.NUMBERS} and {drawn} figures")
     return SUCCESS

@@ -1,8 +1,7 @@
 """Folder of a thesis' figures: a PNG and an SVG of each, an index in Markdown, and all numbers in figures.json."""
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from sextant.evaluation.theses.inventory import Entry, Thesis
 from sextant.evaluation.trials import table_text
 from sextant.evaluation.trials.table_text import Table
 from sextant.shared.files import whole_files
+from sextant.shared.files.input_file import FileError, read_json
 
 INDEX, NUMBERS = "README.md", "figures.json"
 _ROW_IN, _HEAD_IN = 0.19, 0.30  # [in] height of a row of the table below a figure, and of its head
@@ -22,36 +22,32 @@ _MOST_POINTS = 1000  # that an SVG holds as vectors
 _SUFFIXES = ("png", "svg")
 
 
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """A figure with our values of its printed numbers."""
-
-    entry: Entry
-    ours: tuple[str, ...]
+Ours = Mapping[str, tuple[str, ...]]  # number of a drawn figure -> our values of its printed numbers
 
 
 def draw_all(
     thesis: Thesis, entries: Sequence[Entry], folder: Path, data: Data, say: Callable[[str], object] = lambda _: None
-) -> list[Drawn]:
-    """Draw some entries of a thesis into a folder, and write its index.
+) -> int:
+    """Draw some entries of a thesis into a folder, and write its index; return how many were drawn.
 
     Args:
         thesis: The thesis.
         entries: Those to draw; entries without data are only listed.
-        folder: Output folder; figures of other entries in it stay.
+        folder: Output folder; figures of other entries in it stay, also in the index.
         data: Walks, maps and plans.
         say: Receives progress.
     """
     whole_files.make_folder(folder)
-    drawn = []
+    drawn: dict[str, tuple[str, ...]] = {}
     for entry in entries:
         if entry.draw is None:
             continue
-        drawn.append(Drawn(entry, draw(entry, folder, data)))
+        drawn[entry.number] = draw(entry, folder, data)
         say(f"{entry.title}: {entry.shows}")
-    whole_files.write_text(folder / NUMBERS, to_json(thesis, drawn, data))
-    whole_files.write_text(folder / INDEX, index(thesis, drawn))
-    return drawn
+    found = {**_kept(thesis, folder), **drawn}
+    whole_files.write_text(folder / NUMBERS, to_json(thesis, found, data))
+    whole_files.write_text(folder / INDEX, index(thesis, found))
+    return len(drawn)
 
 
 def draw(entry: Entry, folder: Path, data: Data) -> tuple[str, ...]:
@@ -82,28 +78,31 @@ def draw(entry: Entry, folder: Path, data: Data) -> tuple[str, ...]:
     return ours
 
 
-def index(thesis: Thesis, drawn: Sequence[Drawn]) -> str:
+def index(thesis: Thesis, found: Ours) -> str:
     """Return the index: each figure with its picture, or the reason why there is none, and all numbers."""
-    made = {one.entry.number: one for one in drawn}
-    rows = [_row(entry, entry.number in made) for entry in thesis.entries]
+    rows = [_row(entry, entry.number in found) for entry in thesis.entries]
     listed = table_text.markdown(Table(["", "shows", "picture", "our data, or why there is no picture"], rows))
-    compared = table_text.markdown(Table(["", "quantity", "thesis", "here"], _compared(drawn)))
+    numbers = [
+        [entry.title, printed.quantity, printed.value, here]
+        for entry in thesis.entries
+        for printed, here in zip(entry.printed, found.get(entry.number, ()), strict=False)
+    ]
+    compared = table_text.markdown(Table(["", "quantity", "thesis", "here"], numbers))
     return f"# {thesis.title}\n\n{listed}\n## Numbers\n\n{compared}\nMade at commit {commit() or 'unknown'}.\n"
 
 
-def to_json(thesis: Thesis, drawn: Sequence[Drawn], data: Data) -> str:
+def to_json(thesis: Thesis, found: Ours, data: Data) -> str:
     """Return the inventory and the numbers as JSON."""
-    made = {one.entry.number: one.ours for one in drawn}
     entries = [
         {
             "number": entry.number,
             "shows": entry.shows,
-            "files": [f"{entry.name}.{suffix}" for suffix in _SUFFIXES] if entry.number in made else [],
+            "files": _files(entry) if entry.number in found else [],
             "ours": entry.ours,
             "why_not": entry.why_not,
             "numbers": [
                 {"quantity": printed.quantity, "thesis": printed.value, "here": here}
-                for printed, here in zip(entry.printed, made.get(entry.number, ()), strict=False)
+                for printed, here in zip(entry.printed, found.get(entry.number, ()), strict=False)
             ],
         }
         for entry in thesis.entries
@@ -111,17 +110,27 @@ def to_json(thesis: Thesis, drawn: Sequence[Drawn], data: Data) -> str:
     return json.dumps({"thesis": thesis.title, "commit": commit(), "seed": data.seed, "figures": entries}, indent=1) + "\n"
 
 
+def _kept(thesis: Thesis, folder: Path) -> Ours:
+    """Return our values of the figures that the folder holds already."""
+    try:
+        table = read_json(folder / NUMBERS)
+        before = {one["number"]: tuple(str(row["here"]) for row in one["numbers"]) for one in table["figures"]}
+    except (FileError, KeyError, TypeError):  # none, or another file
+        return {}
+    return {
+        entry.number: before[entry.number]
+        for entry in thesis.entries
+        if len(before.get(entry.number, ())) == len(entry.printed) and all((folder / file).exists() for file in _files(entry))
+    }
+
+
+def _files(entry: Entry) -> list[str]:
+    return [f"{entry.name}.{suffix}" for suffix in _SUFFIXES]
+
+
 def _row(entry: Entry, drawn: bool) -> list[str]:
-    picture = f"[png]({entry.name}.png), [svg]({entry.name}.svg)" if drawn else "-"
+    picture = ", ".join(f"[{file.rpartition('.')[2]}]({file})" for file in _files(entry)) if drawn else "-"
     return [entry.title, entry.shows, picture, entry.why_not or entry.ours]
-
-
-def _compared(drawn: Sequence[Drawn]) -> list[list[str]]:
-    return [
-        [one.entry.title, printed.quantity, printed.value, here]
-        for one in drawn
-        for printed, here in zip(one.entry.printed, one.ours, strict=True)
-    ]
 
 
 def _rasterize_clouds(figure: Any) -> None:

@@ -58,6 +58,17 @@ def test_folder_holds_both_pictures_the_index_and_the_numbers(tmp_path: Path) ->
     assert "| Table 3.4 | a photograph | - | a photograph |" in index
 
 
+def test_index_keeps_figures_that_are_not_drawn_again(tmp_path: Path) -> None:
+    data = Data(tmp_path)
+    assert gallery.draw_all(THESIS, THESIS.entries, tmp_path, data) == 1
+    before = (tmp_path / "README.md").read_text()
+    assert gallery.draw_all(THESIS, THESIS.entries[1:], tmp_path, data) == 0
+    assert (tmp_path / "README.md").read_text() == before
+    (tmp_path / "figure_1_2.svg").unlink()
+    gallery.draw_all(THESIS, [], tmp_path, data)
+    assert "| Figure 1.2 | a line | - | computed |" in (tmp_path / "README.md").read_text()
+
+
 def test_same_data_give_the_same_picture(tmp_path: Path) -> None:
     for name in ("a", "b"):
         gallery.draw_all(THESIS, THESIS.entries, tmp_path / name, Data(tmp_path))
