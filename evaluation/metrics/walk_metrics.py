@@ -19,7 +19,7 @@ _PLANE_MISFIT = 0.002  # [m] or the maximum distance of its heights from a plane
 _HIGHER = 0.065  # [m] above a foot's underside: higher ground next to it is an obstacle and not a step
 _TOUCHING = 0.003  # [m] distance between a foot and an obstacle at which they touch
 _LOWER = 0.08  # [m] below the other feet, a foot hangs in a hole,
-_DEEP = 0.20  # [m] if the ground is also this far below them: on stairs, three feet may be lower than _LOWER
+_DEEP = 0.20  # [m] if the ground under it is also this far below them: stairs and pillars carry feet lower than _LOWER
 _MAX_SLOPE = np.tan(np.radians(35.0))  # which is no steeper than this
 
 
@@ -149,7 +149,8 @@ def in_the_way(height_at: HeightAt, feet: Array, bodies: Array, radius: float, s
     underside = feet[..., 2] - radius
     beside = np.asarray(ground > underside[..., None] + _HIGHER).any(axis=2)
     others = np.median(underside, axis=1, keepdims=True)
-    hangs = (underside < others - _LOWER) & (ground.min(axis=2) < others - _DEEP)
+    under_foot = height_at(feet[..., :2].reshape(-1, 2)).reshape(underside.shape)
+    hangs = (underside < others - _LOWER) & (under_foot < others - _DEEP)
     half = np.array(size) / 2
     edge = np.array([(x, y, -1.0) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]) * half
     corners = edge @ bodies[:, :3, :3].transpose(0, 2, 1) + bodies[:, None, :3, 3]

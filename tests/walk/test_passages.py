@@ -54,6 +54,29 @@ def test_bridge_that_leads_aside_is_crossed_with_turns_of_the_body() -> None:
     assert max(yaws) > 10.0
 
 
+def uneven_pillars() -> Scenario:
+    """Return a passage whose pillars are 4 cm higher and lower in turn, so that high ones hide low ones from before the gap."""
+    passage, along = load_scenario("passage1"), (0.96, 1.2, 1.44)
+    course = Course((Level(1.4), Gap(0.8), Level(1.8)), 1.6)
+    high = tuple((x, side * 0.16) for x, side in zip(along, (1, -1, 1), strict=True))
+    low = tuple((x, -y) for x, y in high)
+    pillars = (Pillars(xy, 0.10, top, length=0.17, depth=0.4, jitter=0.01) for xy, top in ((high, 0.04), (low, -0.04)))
+    return replace(passage, goal=replace(passage.goal, distance=2.3), terrain=(Plane(height=-0.4), course, *pillars))
+
+
+@pytest.mark.campaign
+def test_pillars_of_changing_heights_are_crossed_with_looks_from_nearer() -> None:
+    found = walk(uneven_pillars(), 1000, WANTED)
+    report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns) == (0, 0)
+    assert report.min_stability_margin_m >= 0.02
+    assert [plan.state for plan in plans].count("partial") >= 1, "it goes nearer to see the hidden pillars"
+    assert plans[-1].state == "complete"
+    heights = np.concatenate([plan.body[:, 2] for plan in plans if plan.state != "no way"])
+    assert np.ptp(heights) > 0.04
+
+
 @pytest.mark.parametrize("scenario", [short_gap(), pytest.param(load_scenario("passage3"), marks=pytest.mark.campaign)])
 def test_robot_crosses_passage(scenario: Scenario) -> None:
     found = walk(scenario, 1000, WANTED)

@@ -50,6 +50,23 @@ def test_collisions_are_counted_and_steps_are_not():
     assert walked_into(below.height_at, hanging[None], body[None], profile.foot.radius, profile.body.size) == 0, "it stands"
 
 
+def test_foot_on_a_low_pillar_does_not_hang_next_to_its_edge():
+    profile = load_profile("phantomx_mk2")
+    feet = profile.rest_feet() + np.array([0.0, 0.0, profile.stance.body_height])
+    feet[0, 2] -= 0.1
+    x, y = feet[0, :2]
+    body = from_xyz_rpy((0.0, 0.0, profile.stance.body_height), np.zeros(3))
+
+    def hangs(off):
+        gap, pillar = Hole((x, y), (0.2, 0.2), 0.4), Box((x + off, y), (0.1, 0.1), -0.1, depth=0.3)
+        ground = build_terrain(Scenario("p", (Plane(), gap, pillar), Goal(1.0)), np.random.default_rng(0))
+        return walked_into(ground.height_at, feet[None], body[None], profile.foot.radius, profile.body.size) > 0
+
+    assert not hangs(0.0)
+    assert not hangs(0.048), "its edge is 2 mm from the middle of the foot"
+    assert hangs(0.06), "it is next to the pillar"
+
+
 def test_runs_and_debounce():
     flags = np.array([1, 1, 0, 1, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 1, 1, 1], dtype=bool)
     np.testing.assert_array_equal(runs(flags), [[0, 2], [3, 6], [10, 11], [14, 17]])
