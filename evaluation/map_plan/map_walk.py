@@ -274,7 +274,7 @@ class _Walker:
             return why
         xy = self._body[:2, 3].copy()
         strip = strip_ahead(self._terrain.map, xy, heading, self._height)
-        goal_x = goal_behind(strip, BEHIND, BEHIND + along, gaps)
+        goal_x = goal_behind(strip, BEHIND, BEHIND + along, gaps) or goal_behind(strip, BEHIND, BEHIND + along, gaps.narrow())
         if goal_x is None:
             return "there is no gap within reach on the straight line to the goal"
         roadmap = Roadmap(self._profile, PassageSettings(body_height=self._height))

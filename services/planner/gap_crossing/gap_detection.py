@@ -1,4 +1,8 @@
-"""Gap detection: the near edge of a gap on the straight line to a goal."""
+"""Gap detection: the near edge of a gap on the straight line to a goal.
+
+Ground that carries a foot everywhere may still be too narrow for a path, such as a bridge about as wide as the feet are apart.
+It counts as a gap if there is no other one.
+"""
 
 from dataclasses import dataclass
 
@@ -43,14 +47,16 @@ def detect_gap(
     places = xy + along[:, None, None] * ahead + across[:, None] * np.array([-ahead[1], ahead[0]])
     heights = terrain.heights(places)
     wall = (heights > ground + max_step_m).mean(axis=1) > params.wall_share
-    bare = _wide(
-        (terrain.scores(places) <= MAX_FOOTHOLD_SCORE).mean(axis=1) < params.carrying_share,
-        round(params.min_length_m / terrain.map.resolution),
-    )
     known = np.isfinite(heights).mean(axis=1) > params.known_share
-    if not (bare & known).any():
+    carries = terrain.scores(places) <= MAX_FOOTHOLD_SCORE
+    missing = ~carries & ~(heights >= ground - max_step_m)  # also where the height is unknown
+    cells = round(params.min_length_m / terrain.map.resolution)
+    bare = _wide(carries.mean(axis=1) < params.carrying_share, cells) & known
+    if not bare.any():
+        bare = _wide(missing.mean(axis=1) > 1.0 - params.narrow().carrying_share, cells) & known
+    if not bare.any():
         return "no gap on the straight line to the goal"
-    verge = float(along[bare & known][0])
+    verge = float(along[bare][0])
     walls = along[wall]
     if walls.size and walls[0] < verge + params.wall_base_m:
         return f"an obstacle blocks the straight line to the goal after {walls[0]:.1f} m"

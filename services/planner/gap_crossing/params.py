@@ -1,6 +1,7 @@
 """Parameters of gap detection and of the approach of a gap."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 from sextant.services.planner.roadmap.params import BareGroundParams
 from sextant.shared.files.config import ranged
@@ -14,7 +15,12 @@ class GapDetectionParams(BareGroundParams):
     known_share: float = ranged(0.5, 0.0, 1.0)  # [1] share of it that must be known
     wall_share: float = ranged(0.1, 0.0, 1.0)  # [1] share of the band higher than a step of the legs, from which it is a wall
     wall_base_m: float = ranged(0.10, 0.0, 1.0)  # [m] before a wall, where ground at its foot also carries none
+    narrow_share: float = ranged(0.95, 0.0, 1.0)  # [1] the same as carrying_share, where there is no other gap
     min_length_m: float = ranged(0.06, 0.01, 1.0)  # [m] minimum length of a gap; narrower ones are stepped over
+
+    def narrow(self) -> Self:
+        """Return the parameters by which ground too narrow for a path is bare."""
+        return replace(self, carrying_share=max(self.carrying_share, self.narrow_share))
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,6 +82,7 @@ class GapCrossing:
         self._field: StripMap | None = None
         self._walk: SectionWalk | None = None  # the steps that are executed or were executed last
         self._because = ""  # why the last section was not completed
+        self._bare_ground = settings.gap_detection  # which ground is a gap
 
     @property
     def report(self) -> PassagePlan | None:
@@ -217,7 +218,11 @@ class GapCrossing:
             return CannotCross(f"the robot is {off} off the centre line of the strip")
         field = self._field = self._ground.excluded_from(self._required_field, root.feet)
         target_x = float(apply(inverse(self._survey.T_world_strip), np.array([*self._target, 0.0]))[0])
-        goal_x = goal_behind(field, float(root.body[0]) + _NEARLY, target_x, self._settings.gap_detection)
+        x = float(root.body[0]) + _NEARLY
+        goal_x = goal_behind(field, x, target_x, self._bare_ground)
+        if goal_x is None and not self.walked:
+            self._bare_ground = self._bare_ground.narrow()
+            goal_x = goal_behind(field, x, target_x, self._bare_ground)
         if goal_x is None:
             return Completed("no gap ahead of the robot")
         refusal = self._search.begin(field, root, goal_x, standing.body[:2, 3])

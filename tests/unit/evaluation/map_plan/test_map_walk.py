@@ -103,6 +103,19 @@ def test_bridge_aside_of_the_goal_is_crossed_with_turns_of_the_body() -> None:
     check(found)
 
 
+@pytest.mark.parametrize("cells", [30, 36, 38, 42])
+def test_bridge_about_as_wide_as_the_feet_is_walked_or_crossed(cells: int) -> None:
+    """Check that no width lies between those that a crossing takes and those that a path takes."""
+    heights = flat()
+    heights[row(0.9) : row(1.7)] = -0.5
+    heights[:, 100 - cells // 2 : 100 + cells // 2] = 0.0
+    found = plan(heights)
+    assert found.reached, found.reason
+    assert any(move.crosses for move in found.moves) == (cells < 40)
+    assert not found.moves[-1].crosses
+    check(found)
+
+
 def test_gap_without_footholds_is_refused_with_the_leg_that_fails() -> None:
     heights = flat()
     heights[row(0.9) : row(1.5)] = -0.5

@@ -35,6 +35,19 @@ def test_gap_edge_is_detected_at_end_of_ground(make_terrain: Maker, begin: float
     assert found.heading == pytest.approx(0.0)
 
 
+@pytest.mark.parametrize("width", [0.30, 0.33, 0.36])
+def test_bridge_too_narrow_for_a_path_is_a_gap_and_a_rough_patch_is_not(make_terrain: Maker, width: float) -> None:
+    def off(x: Array, y: Array) -> Array:
+        return (x > 0.5) & (x < 1.2) & (np.abs(y) > width / 2)
+
+    bridge = make_terrain(lambda x, y: np.where(off(x, y), -0.4, 0.0), lambda x, y: np.where(off(x, y), 9.0, 0.0))
+    found = detect_gap(bridge, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())
+    assert isinstance(found, GapEdge)
+    assert found.distance == pytest.approx(0.5, abs=0.021)
+    rough = make_terrain(lambda x, y: 0.0 * x * y, lambda x, y: np.where(off(x, y) & (np.abs(y) > 0.17), 9.0, 0.0))
+    assert isinstance(detect_gap(rough, HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams()), str)
+
+
 def test_level_ground_has_no_gap(make_terrain: Maker) -> None:
     assert (
         detect_gap(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0, MAX_STEP_M, GapDetectionParams())

@@ -63,7 +63,7 @@ class Robot:
         self.now_ns = 0
         self.map: PassageMap | None = None
         self.maps, self.moves, self.wait_messages = True, list[NextStep](), list[str]()
-        self.refuse = ""
+        self.refuse, self.narrow = "", False
 
     @property
     def standing(self) -> WorldStance:
@@ -94,6 +94,8 @@ class Robot:
         size = NX, round(request.width / 0.01)
         heights = np.zeros(size, dtype=np.float32)
         evaluation = np.full(size, -9, dtype=np.int8)
+        if self.narrow:
+            evaluation[round(GAP[0] * 100) : round(GAP[1] * 100), np.abs(np.arange(size[1]) + 0.5 - size[1] / 2) > 18] = 5
         if self.gap:
             evaluation[round(GAP[0] * 100) : round(GAP[1] * 100)] = 5
         shows = np.zeros(size, dtype=np.bool_)
@@ -218,6 +220,14 @@ def test_crossing_is_refused_with_planner_reason_after_all_attempts() -> None:
     refused = CannotCross("straight on: all; with turns up to 45 deg: left front leg: out of reach")
     assert robot.until_end(3000) == refused
     assert len({seed for *_, seed in robot.sections.begun}) == _ALL
+
+
+def test_narrow_ground_is_crossed_like_a_gap_to_its_end() -> None:
+    robot = Robot(ScriptedRoadmap(replace(section(0.0, 0.9), complete=False), section(0.9, 1.85)), gap=False)
+    robot.narrow = True
+    assert robot.until_end() == Completed("no gap ahead of the robot")
+    assert robot.crossing.walked
+    assert len(robot.sections.begun) == 2
 
 
 def test_body_turns_only_after_straight_sections_are_refused() -> None:
