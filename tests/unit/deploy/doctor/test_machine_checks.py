@@ -72,7 +72,7 @@ def test_regular_cycle_passes(priority_error: str) -> None:
     assert (check.level, check.advice) == (Level.OK, "")
     without = ", without real-time priority" if priority_error else ""
     assert check.found == (
-        "takes 9.0 of 20 ms, including an emulated servo bus; period 20.0 ms (p50), 20.0 (p99), 20.0 (max); "
+        "takes 9.0 (p99 9.0) of 20 ms, including an emulated servo bus; period 20.0 ms (p50), 20.0 (p99), 20.0 (max); "
         f"0 of 100 periods above 25{without}"
     )
 
@@ -105,7 +105,7 @@ def test_cycle_check_reports_cause_if_not_timed(broken: Exception, advice: str) 
 
 
 def load(service: str, takes_ms: float, cores: float = 0.1) -> StageLoad:
-    return StageLoad(service, takes_ms, rehearsal.STAGES[service][1], cores)
+    return StageLoad(service, 0.5 * takes_ms, takes_ms, rehearsal.STAGES[service][1], cores)
 
 
 def test_chain_check_reports_time_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,7 +113,8 @@ def test_chain_check_reports_time_of_each_stage(monkeypatch: pytest.MonkeyPatch)
     check = machine_checks.chain(lambda: [load("perception", 12.04), load("mapper", 20.0), load("actuator", 31.0)])
     assert (check.level, check.advice) == (Level.OK, "")
     assert check.found == (
-        "frame to pose and scan takes 12.0 of 67 ms, scan to map takes 20.0 of 67 ms, actuator cycle takes 31.0 of 20 ms; "
+        "frame to pose and scan takes 6.0 (p99 12.0) of 67 ms, scan to map takes 10.0 (p99 20.0) of 67 ms, "
+        "actuator cycle takes 15.5 (p99 31.0) of 20 ms; "
         "together 0.3 of 2 cores"
     )
 
