@@ -23,6 +23,7 @@ from sextant.services.perception.registration.frame_registration import SILENT_S
 from sextant.services.perception.registration.motion_prior import Motion, OdometryHistory
 from sextant.services.perception.registration.pose_tracking import PoseTracker
 from sextant.services.perception.registration.registration_result import RegistrationResult
+from sextant.services.perception.registration.rest_gravity import RestGravity
 from sextant.shared.geometry import apply, inverse
 from sextant.shared.robot.kinematics import leg_points
 from sextant.shared.robot.profile import RobotProfile
@@ -40,13 +41,13 @@ _MAX_FRAME_AGE_S = 0.3  # [s] largest age of a frame, because the planner does n
 class Perception:
     """Pose estimation from depth frames, with leg odometry as prior in the cost.
 
-    {world} is {odom} of the first frame.
+    {world} is {odom} of the first frame, made level by an inertial sensor if there is one.
     """
 
     name = "perception"
     trigger: AnyTopic = topics.DEPTH
     subscribes: tuple[AnyTopic, ...] = (
-        *(topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT),
+        *(topics.ODOMETRY, topics.ACTUATOR_STATE, topics.IMU, topics.COLOR, topics.SCAN_RECEIPT),
         topics.EXTERNAL_POSE,
     )
     publishes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.CAMERA_ERRORS, topics.FLOOR, topics.SCAN, topics.PREVIEW)
@@ -64,6 +65,7 @@ class Perception:
         profile = replace(profile, camera=profile.camera.rectified)
         self._settings, self._camera = settings, profile.camera
         self._odometry = OdometryHistory()
+        self._gravity = RestGravity()
         self._check = FrameCheck((intrinsics.height, intrinsics.width))
         self._tracker = PoseTracker(settings)
         external = settings.method == "external"
@@ -104,6 +106,8 @@ class Perception:
     def _frame(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
+        for reading in inbox.drain(topics.IMU):
+            self._gravity.add(reading)
         if self._external is not None and (found := inbox.latest(topics.EXTERNAL_POSE)) is not None:
             self._external.add(found, inbox.now_ns)
         for receipt in inbox.drain(topics.SCAN_RECEIPT):
@@ -148,6 +152,9 @@ class Perception:
         if self._tracker.last_registered is None and not self._odometry.settled(self._settings.settle_s):
             self._words = "waiting for the legs to stand still"
             return
+        if self._tracker.last_registered is None and self._gravity.begins:
+            self._words = "waiting for the inertial sensor, which has begun to send"
+            return
         if not fault:
             image = self._without_legs(image, inbox)
         found = self._register(image, fault, motion, inbox)
@@ -172,9 +179,11 @@ class Perception:
     def _register(self, image: DepthImage, fault: str, motion: Motion, inbox: Inbox) -> RegistrationResult:
         """Register a frame and track its pose."""
         tracker = self._tracker
-        legs = inbox.latest(topics.ACTUATOR_STATE) if tracker.last_registered is None else None
-        if legs is not None:  # the robot walked before perception started: keep its {world}
-            tracker.T_world_odom = np.array(legs.T_world_odom)
+        if tracker.last_registered is None:
+            legs = inbox.latest(
+                topics.ACTUATOR_STATE
+            )  # of a robot that walked before perception started, which keeps its {world}
+            tracker.begin(np.eye(4) if legs is None else legs.T_world_odom, motion, self._gravity.up())
         prior, covariance = tracker.predict(motion, self._odometry.restarts)
         with self.stages("registration"):
             found = self._registration.register(image, fault, motion, prior, covariance)

@@ -206,7 +206,7 @@ class CameraState(Message):
 
 @dataclass(frozen=True, slots=True)
 class Imu(Message):
-    """Angular rate and specific force; imu -> actuator."""
+    """Angular rate and specific force; imu -> actuator, perception."""
 
     gyro: Vector3  # [rad/s] {body}
     specific_force: Vector3  # [m/s^2] {body}, +g up at rest

@@ -7,6 +7,7 @@ import numpy as np
 
 from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.motion_prior import Motion
+from sextant.services.perception.registration.rest_gravity import levelling
 from sextant.shared.geometry import Array, inverse, orthonormal, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
 
 _MAX_TILT_RAD, _MAX_LIFT_M = 0.05, 0.03  # of the body against its feet while a pose is doubted
@@ -16,7 +17,7 @@ _MAX_SIGMA_M, _MAX_SIGMA_RAD = 10.0, 3.0  # [m] [rad] upper bounds of the predic
 
 
 class PoseTracker:
-    """Pose of the body and of {odom} in {world}; {world} is {odom} of the first frame."""
+    """Pose of the body and of {odom} in {world}; {world} is {odom} of the first frame, made level if gravity is known."""
 
     def __init__(self, settings: Settings):
         """Start without a pose."""
@@ -31,6 +32,18 @@ class PoseTracker:
         self._doubted_until_ns = -1  # [ns] end of the doubt
         self._refused_until_ns, self._refuse_ns, self._why = -1, _LOST_NS, ""  # [ns] of images; the next duration; the reason
         self._tilt_ns = -1  # of the newest tilt, -1 before the first one
+
+    def begin(self, T_world_odom: Array, motion: Motion, up: Array | None) -> None:
+        """Define {world} before the first frame.
+
+        Args:
+            T_world_odom: (4, 4) {odom} in {world} of a robot that has walked before; the identity for a new {world}.
+            motion: Motion of the body.
+            up: (3,) {body} by an inertial sensor; None without one. A new {world} is then level.
+        """
+        self.T_world_odom = np.array(T_world_odom)
+        if up is not None and np.array_equal(T_world_odom, np.eye(4)):
+            self.T_world_odom = transform(levelling(motion.T_odom_body[:3, :3] @ up), np.zeros(3))
 
     def predict(self, motion: Motion, odometry_restarts: int) -> tuple[Array, Array]:
         """Return the body pose (4, 4) {world} by odometry, and its covariance (6, 6) [m^2, m rad, rad^2].
