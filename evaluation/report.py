@@ -195,7 +195,7 @@ class Report:
     blind: bool  # whether it is the baseline without a map
     success: bool  # goal truly reached, or correctly refused; no fall, no servo shutdown, on a route no collision
     reason: str  # why it ended, as text
-    distance_m: float  # [m] true progress along the initial heading
+    distance_m: float  # [m] true progress along the initial heading; length of the way of a route with waypoints
     duration_s: float  # [s] from the first step to the goal, or to the end of a run that did not reach it
     speed_mps: float  # [m/s] true mean over that time
     falls: int  # [1] times that the body fell

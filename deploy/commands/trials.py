@@ -15,7 +15,7 @@ from sextant.shared.files import whole_files
 if TYPE_CHECKING:
     from sextant.evaluation.trials.cluster import Cluster
 
-_GROUPS = ("all", "passages", "troubles", "mild", "usual", "harsh")
+_GROUPS = ("all", "passages", "troubles", "ways", "mild", "usual", "harsh")
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,10 +210,11 @@ def _campaign(group: str, variant: options.Variant, seeds: Sequence[int], blind:
     passages = group == "passages"
     folder = out_folder(place.out, f"trials-{group}")
     hear = open_progress(place.as_json).say
-    courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED, **tables.LEVELS}[group]
     table = "passages" if passages else "walks"
     with explained_interrupts(lambda: _kept(folder, "campaign.jsonl")), place.workers(hear) as cluster:
-        found = run_campaign(courses, seeds, place.jobs, folder, blind, variant.applied(), hear, table=table, cluster=cluster)
+        found = run_campaign(
+            tables.GROUPS[group], seeds, place.jobs, folder, blind, variant.applied(), hear, table=table, cluster=cluster
+        )
     say(tables.to_json(found).rstrip("\n") if place.as_json else tables.markdown(found, table))
     if passages and not place.as_json:
         say(sections(results_store.read(folder / "campaign.jsonl")))

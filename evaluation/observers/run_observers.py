@@ -35,7 +35,7 @@ class RunObservers:
         self.operator = Operator(profile, scenario)
         self.scorer = Scorer(profile, scenario, seed)
         computer = SlowComputer(live, linked or scenario.link.exists)
-        self.monitor = Monitor(scenario.goal.distance, computer, has_truth=True)
+        self.monitor = Monitor(None if scenario.goal.waypoints else scenario.goal.distance, computer, has_truth=True)
         self._operator_done_s: float | None = None
         # The parameters of services that were started elsewhere are not known.
         self.params = {} if linked else config.as_table(params.of_scenario(scenario))

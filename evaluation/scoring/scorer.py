@@ -8,6 +8,7 @@ compares the newest map. `result` computes everything else once, over whole arra
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 
@@ -39,6 +40,7 @@ FALL_TILT_DEG = 35.0  # [deg]
 _FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
 _CLEARANCE = 0.005  # [m] a body underside closer to the ground than this counts as a fall
 _REST_NS = 500_000_000  # [ns] the body is at rest after it has not moved for this time
+_WAY_S = 0.5  # [s] between places whose distances are the length of a way
 _REST_MOTION = 0.003  # [m] motion below which the body counts as not moving
 _LOST_NS = 2_000_000_000  # [ns] a run continues for this time after a servo shutdown: a latched error persists
 _MAP_PERIOD_NS = 1_000_000_000  # [ns]
@@ -96,6 +98,7 @@ class Scorer:
         self._shutdown = np.zeros((6, 3), dtype=bool)  # servos that have shut down at any time, even if they work again
         self._end = ""
         self._x = 0.0
+        self._waypoints = deque(scenario.goal.waypoints)  # [m] {start} that the body has not passed
         self._maps: MapJudge | None = None
         self._map_due_ns = 0
         self._lowest = profile.body.size[2] / 2 + _CLEARANCE
@@ -127,7 +130,15 @@ class Scorer:
 
     def status(self) -> str:
         """Return the progress by ground truth, or the reason for the end."""
-        return self._end or f"judging: true distance {self._x:.2f} of {self._scenario.goal.distance:.2f} m"
+        return self._end or f"judging: true distance {self._progress}"
+
+    @property
+    def _progress(self) -> str:
+        """How far the body is, as text."""
+        goal = self._scenario.goal
+        if self._waypoints:
+            return f"{len(goal.waypoints) - len(self._waypoints)} of {len(goal.waypoints)} waypoints"
+        return f"{self._x:.2f} of {goal.distance:.2f} m"
 
     @property
     def reason(self) -> str:
@@ -179,7 +190,9 @@ class Scorer:
         self._shutdown |= truth.shutdown
         if self._shutdown_ns is None and truth.shutdown.any():
             self._shutdown_ns = now
-        if self._goal_ns is None and x >= goal.distance and abs(y) <= goal.corridor:
+        while self._waypoints and hypot(x - self._waypoints[0][0], y - self._waypoints[0][1]) <= goal.corridor:
+            self._waypoints.popleft()
+        if self._goal_ns is None and not self._waypoints and x >= goal.distance and abs(y) <= goal.corridor:
             self._goal_ns = now
         self._end = self._ending(now, x, y)
         self.finished = bool(self._end)
@@ -204,13 +217,13 @@ class Scorer:
             return self._fall
         if self._shutdown_ns is not None and now - self._shutdown_ns >= _LOST_NS:
             return self._shutdown_words()
-        if x >= goal.distance and at_rest:
+        if not self._waypoints and x >= goal.distance and at_rest:
             beside = f"crossed the goal line {abs(y):.2f} m off its middle; the corridor is {goal.corridor:.2f} m wide"
             return beside if self._goal_ns is None else ARRIVED
         if goal.expect != "arrival" and self._heard.refusal and at_rest:
             return f"stood and reported why: {self._heard.refusal}"
         if (now - self._heard.begin_ns) * 1e-9 >= self._scenario.time_limit_s:
-            late = f"time limit of {self._scenario.time_limit_s:g} s, {x:.2f} of {goal.distance:.2f} m done"
+            late = f"time limit of {self._scenario.time_limit_s:g} s, {self._progress} done"
             return f"{reason}; {late}" if (reason := last_reason(self._heard)) else late
         return ""
 
@@ -336,7 +349,7 @@ class Scorer:
             return f"hit obstacles {collisions} times"
         if self._end == ARRIVED:
             return "crossed a passage that an exhaustive search found impassable"
-        stopped = f"stopped at {self._x:.2f} of {self._scenario.goal.distance:.2f} m"
+        stopped = f"stopped at {self._progress}"
         return self._end or (f"{reason} ({stopped})" if reason else stopped)
 
     def _measured(self, report: Report, in_a_hurry: bool) -> Report:
@@ -344,7 +357,7 @@ class Scorer:
         speed, duration = self._speed()
         report = replace(
             report,
-            distance_m=float(trace.p_true[-1, 0]),
+            distance_m=float(self._along()[-1]),
             duration_s=duration,
             speed_mps=speed,
             pose_error_m=pose_error(trace),
@@ -371,8 +384,21 @@ class Scorer:
         if duration <= 0:
             return 0.0, 0.0
         ends = np.array([heard.first_step_ns - heard.begin_ns, until - heard.begin_ns]) * 1e-9
-        x = np.interp(ends, self.trace.t, self.trace.p_true[:, 0])
-        return float(x[1] - x[0]) / duration, duration
+        along = np.interp(ends, self.trace.t, self._along())
+        return float(along[1] - along[0]) / duration, duration
+
+    def _along(self) -> Array:
+        """Return the true progress (n,) [m] at each sample: ahead, or of a route with waypoints the length of the way so far.
+
+        That is the length of the lines between places half a second apart, so that the body's sway in a step does not count.
+        """
+        trace = self.trace
+        if not self._scenario.goal.waypoints:
+            return trace.p_true[:, 0]
+        times = np.append(np.arange(trace.t[0], trace.t[-1], _WAY_S), trace.t[-1])
+        xy = np.stack([np.interp(times, trace.t, trace.p_true[:, k]) for k in range(2)], axis=1)
+        lengths = np.hypot(*np.diff(xy, axis=0).T)
+        return np.asarray(np.interp(trace.t, times, np.append(0.0, np.cumsum(lengths))))
 
     def _course_map(self, mosaic: Mosaic | None) -> CourseMap:
         if mosaic is None:

@@ -51,7 +51,17 @@ TROUBLED: Mapping[str, str] = {
 LEVELS: Mapping[str, Mapping[str, str]] = {
     level: {f"{course}+{level}": words for course, words in WALKED.items()} for level in ("mild", "usual", "harsh")
 }
-_NAMED: Mapping[str, str] = {**WALKED, **PASSAGES, **TROUBLED, **LEVELS["mild"], **LEVELS["usual"], **LEVELS["harsh"]}
+# Starts on other ground than a level floor, and long ways.
+WAYS: Mapping[str, str] = {
+    "start_rubble": "on rubble",
+    "start_slope": "on a slope of 8 deg, any heading",
+    "start_edge": "half a metre from two edges",
+    "start_dark": "without a camera for 12 s",
+    "far_goal": "14 m ahead, ten over blocks",
+    "loop": "30 m around a square and back",
+}
+GROUPS: Mapping[str, Mapping[str, str]] = {"all": WALKED, "passages": PASSAGES, "troubles": TROUBLED, "ways": WAYS, **LEVELS}
+_NAMED: Mapping[str, str] = {name: words for group in GROUPS.values() for name, words in group.items()}
 _OWN = {"foothold": "Sextant's foothold rule", "planner": "Sextant's step planner", "registration": "Sextant's registration"}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
 _WALKS: Columns = {

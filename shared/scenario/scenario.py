@@ -531,7 +531,9 @@ class Goal:
     distance: float  # [m] straight ahead from the start
     corridor: float = 0.25  # [m] maximum lateral distance from the starting direction
     route: bool = False  # True: the planner receives a goal and finds a path; False: the operator steers straight ahead
-    waypoints: tuple[tuple[float, float], ...] = ()  # [m] from the start, x ahead and y left; of the route, before its end
+    waypoints: tuple[
+        tuple[float, float], ...
+    ] = ()  # [m] from the start, x ahead and y left; passed in order, within `corridor`, before the goal line counts
     passage: bool = False  # True: the route is ordered as a passage, straight from the start to the end
     # Correct result: to arrive, or to stop before an obstacle that cannot be crossed and report the reason. "either" applies
     # if this depends on the seed, unless the scorer is given the result for that seed.

@@ -489,6 +489,22 @@ def test_trials_of_a_level_walk_every_terrain_with_its_deviations(
     assert all(f"| `{name}+usual` | 2 of 2" in printed for name in campaign_table.WALKED)
 
 
+def test_trials_of_ways_walk_each_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from sextant.deploy.commands.trials import _GROUPS
+    from sextant.evaluation.lockstep import lockstep_run
+    from sextant.evaluation.trials import campaign_table
+
+    assert tuple(campaign_table.GROUPS) == _GROUPS
+    monkeypatch.setattr(
+        lockstep_run, "run_lockstep", lambda course, seed, *_: replace(report(True, seed), scenario=course.name)
+    )
+    assert cli.main(["trials", "ways", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"| `{name}` | 2 of 2" in printed for name in campaign_table.WAYS)
+
+
 @pytest.mark.parametrize(
     "data",
     [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b'{"scenario": "flat", "seed": 3}', b"", b"[]\n[]", b"[" * 100_000, b"words\n"],

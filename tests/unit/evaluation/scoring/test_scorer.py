@@ -168,6 +168,20 @@ def test_stop_before_goal_fails_with_given_reason(story):
     assert f"{scorer.trace.p_true[-1, 0]:.2f} of 0.50 m" in result.reason
 
 
+def test_goal_counts_once_all_waypoints_are_passed(story):
+    def route(*waypoints: tuple[float, float]) -> Scenario:
+        return Scenario("route", (Plane(),), Goal(0.5, route=True, waypoints=waypoints))
+
+    passed = story(scenario=route((0.2, 0.1), (0.4, 0.0))).judged().result()
+    straight = story(scenario=Scenario("route", (Plane(),), Goal(0.5, route=True))).judged().result()
+    assert passed.success
+    assert passed.distance_m == pytest.approx(straight.distance_m, abs=0.01)
+    assert passed.speed_mps == pytest.approx(straight.speed_mps, rel=0.03)
+    scorer = story(scenario=route((0.2, 0.0), (0.4, 1.0))).judged()
+    assert not scorer.finished
+    assert scorer.result().reason == "stopped at 1 of 2 waypoints"
+
+
 REFUSED = Scenario("refused", (Plane(),), Goal(0.5, route=True, expect="refusal"))
 
 

@@ -77,7 +77,8 @@ def test_worker_whose_check_fails_gets_no_work(tmp_path, cluster, said):
     work = [(k,) for k in range(20)]
     found = list(cluster.share_out(tasks.process, work, tasks.refuses_first, (str(tmp_path / "mark"),), names))
     assert len(found) == 20
-    [line] = said
+    # On a busy machine the scheduler may learn only now of a worker that an earlier test has killed.
+    [line] = [line for line in said if "is lost during the check" not in line]
     assert ": numpy 1.0 in process " in line
     assert int(line.rpartition(" ")[2]) not in found
 

@@ -56,11 +56,13 @@ def test_flat_and_steps_are_packaged() -> None:
 
 
 def test_every_course_begins_on_flat_ground() -> None:
-    """Keep the first 0.8 m flat: the camera sees nothing nearer than half a metre."""
+    """Keep the first 0.8 m flat, but where the start is the difficulty: the camera sees nothing nearer than half a metre."""
     for name in scenario_names():
+        if name.startswith("start_"):
+            continue
         for piece in load_scenario(name).terrain:
             if isinstance(piece, Rubble):
-                assert piece.x[0] >= 0.8
+                assert piece.x[0] >= 0.8 or piece.y[0] >= 0.8
             if isinstance(piece, Stairs):
                 assert piece.xy[0] >= 0.8
             if isinstance(piece, Box | Hole):  # or it stands at the side
