@@ -148,6 +148,7 @@ class Passage:
     # Whether there is a way across, by an exhaustive search offline; null if no search was made or its result is unknown
     passable: bool | None = None
     sections: tuple[Section, ...] = ()  # results of planning in order: one for each stop to plan
+    tipped: int = 0  # [1] times that a foot stood on a pillar that tipped or sank under it by more than 8 mm
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,7 @@ program has `sun`, `legs` and `sparse`, and robots that differ from their profil
 _PICTURE = "Each picture shows the example below it with seed 1000; the robot stands at the origin."
 _PARTS = {
     "scenarios_ground": Part(
-        "Terrain: ground", _PICTURE, ("plane", "hole", "slope", "relief", "height_map", "puddle", "puddles")
+        "Terrain: ground", _PICTURE, ("plane", "hole", "slope", "relief", "height_map", "puddle", "puddles", "patches")
     ),
     "scenarios_blocks": Part(
         "Terrain: blocks, stairs, pillars", _PICTURE, ("box", "stairs", "pillars", "pillar_field", "rubble")

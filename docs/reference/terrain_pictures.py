@@ -93,6 +93,9 @@ EXAMPLES = {
     ),
     "puddle": Example('[[terrain]]\nkind = "puddle"\nxy = [0.7, 0.1]\nsize = [0.5, 0.4]'),
     "puddles": Example('[[terrain]]\nkind = "puddles"\nx = [0.3, 1.4]\ny = [-0.5, 0.5]\ncount = 5\nsize = [0.12, 0.3]'),
+    "patches": Example(
+        '[[terrain]]\nkind = "patches"\nx = [0.3, 1.4]\ny = [-0.5, 0.5]\ncount = 5\nsize = [0.2, 0.5]\nfrictions = [0.15, 0.35]'
+    ),
     "course": Example(
         '[[terrain]]\nkind = "course"\nwidth = 0.9\nshuffled = true\nrest = 0.1\n\n'
         '[[terrain.stretches]]\nkind = "level"\nlength = 0.9\n\n'

@@ -146,6 +146,18 @@ class Course:
         weak = getattr(self.terrain, "weak", None)
         return np.zeros(0, dtype=np.intp) if weak is None else np.asarray(weak.box)
 
+    def loose_tops(self) -> tuple[Array, Array, Array]:
+        """Return centre (n, 3) [m] {start}, half edges (n, 3) [m] and rotation (n, 3, 3) of boxes that sink or tip.
+
+        They are where they were at the start.
+        """
+        kinds = [getattr(self.terrain, name, None) for name in ("weak", "tipping")]
+        box = np.concatenate([np.zeros(0, dtype=np.intp), *(kind.box for kind in kinds if kind is not None)])
+        boxes, T = getattr(self.terrain, "boxes", None), self.T_start_sim
+        if boxes is None or not len(box):
+            return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
+        return apply(T, boxes.centre[box]), boxes.half[box], T[:3, :3] @ boxes.R[box]
+
     def views(self, poses: Iterable[Array], camera: Camera) -> Iterator[tuple[NDArray[np.float32], Array]] | None:
         """Render undisturbed depth frames at camera poses (4, 4) in the simulator's world.
 

@@ -36,6 +36,7 @@ PASSAGES: Mapping[str, str] = {
     "passage_narrow": "pillars of 8 cm",
     "passage_heights": "pillars up to 3 cm higher or lower",
     "passage_gives_way": "a pillar that sinks under a foot",
+    "passage_tipping": "pillars that tip near their edges",
     "pillar_field": "pillars strewn by the seed, with a way or without",
 }
 # Disturbances during the walk, and the courses on which they occur.

@@ -102,7 +102,9 @@ class Run:
                 "gait_choices": [],
                 "hottest_servo_c": None,
             } | report  # older reports do not have them
+            report["passage"] = _with_tipped(report.get("passage"))
         entry = _LEFT_OUT | entry
+        entry["passage"] = _with_tipped(entry["passage"])
         problems = reports.check(entry, cls) if report is None else reports.check(report)
         if problems:
             raise ValueError("; ".join(problems))
@@ -119,6 +121,11 @@ class Run:
         """Return the run as a table, without default values."""
         table: dict[str, Any] = reports.plain(self)
         return {name: value for name, value in table.items() if name not in _LEFT_OUT or value != _LEFT_OUT[name]}
+
+
+def _with_tipped(passage: Any) -> Any:
+    """Return the table of a passage; an older one lacks the number of tops that tipped."""
+    return {"tipped": 0} | passage if isinstance(passage, dict) else passage
 
 
 _LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": "", "params": ""}

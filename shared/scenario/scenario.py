@@ -158,6 +158,13 @@ class Pillars:
     weak: int = 0
     bears: float = 3.0  # [N] maximum load of a weak pillar
     sinks: float = 0.06  # [m] depth by which a weak pillar sinks
+    # Number of tipping pillars, chosen by the seed. They look like the others from above, but consist of a box on a smaller
+    # base. A load over the base is borne; a load beyond it tips the box, unless the weight of the box holds it.
+    tipping: int = 0
+    bears_within: float = 0.03  # [m] from the middle of a tipping pillar to the edges of its base
+    tip_height: float = 0.04  # [m] height of its box
+    tip_mass: float = 0.2  # [kg] of its box
+    tip_deg: float = 80.0  # [deg] largest angle of its box; where it has overturned, it stays
 
     checks = (
         config.together("xy", lambda xy: len(xy) <= 5000, "at most 5000 pillars"),
@@ -165,6 +172,8 @@ class Pillars:
         *_bounded("size length jitter", 1000, "m"),
         *_bounded("top depth top_spread sinks", 100, "m"),
         *_bounded("bears", 1e6, "N"),
+        *config.each("tip_mass", lambda mass: 0 < mass <= 1000, "more than 0 and at most 1000 kg"),
+        *config.each("tip_deg", lambda angle: 0 < angle <= 90, "more than 0 and at most 90 deg"),
     )
 
     def __post_init__(self) -> None:
@@ -174,6 +183,14 @@ class Pillars:
         _expect(0 <= self.weak <= len(self.xy), f"0 to {len(self.xy)} weak pillars, the number of pillars", self.weak)
         found = (self.bears, self.sinks)
         _expect(self.bears >= 0 and 0 < self.sinks < self.depth, "bears of at least 0 N and sinks between 0 m and depth", found)
+        rest = len(self.xy) - self.weak
+        _expect(
+            0 <= self.tipping <= rest, f"0 to {rest} tipping pillars, the number of pillars that are not weak", self.tipping
+        )
+        if self.tipping:
+            half = min(self.size, self.length or self.size) / 2
+            _expect(0 < self.bears_within < half, f"bears_within between 0 m and half the edge, {half:g} m", self.bears_within)
+            _expect(0 < self.tip_height < self.depth, "a tip_height between 0 m and depth", self.tip_height)
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,6 +365,35 @@ class Puddles:
 
 
 @dataclass(frozen=True, slots=True)
+class Patches:
+    """Patches of the ground with other friction, of random size, position and friction; no sensor shows them.
+
+    The run's seed draws them. Patches may overlap; the last one counts. The friction of a foot is that of the patch under it,
+    times the deviation of that foot.
+    """
+
+    x: tuple[float, float]  # [m] region along x, lowest and highest
+    y: tuple[float, float]  # [m] region along y, lowest and highest
+    count: int  # number of patches
+    size: tuple[float, float]  # [m] shortest and longest edge
+    frictions: tuple[float, ...]  # [1] coefficients of sliding friction, of which each patch has one; elsewhere it is 0.8
+    kind: Literal["patches"] = "patches"
+
+    checks = (
+        *_BLOCK_COUNT,
+        *_bounded("x y size", 1000, "m"),
+        *config.each("frictions", lambda friction: 0.05 <= friction <= 2, "0.05 to 2"),
+    )
+
+    def __post_init__(self) -> None:
+        _expect(len(self.frictions) > 0, "at least one friction", "none")
+        for name in ("x", "y", "size"):
+            low, high = getattr(self, name)
+            _expect(low <= high, f"{name} in rising order", (low, high))
+        _expect(self.size[0] > 0, "a size greater than 0 m", self.size)
+
+
+@dataclass(frozen=True, slots=True)
 class Level:
     """Stretch of level ground."""
 
@@ -494,7 +540,22 @@ class Course:
             raise ValueError('at least one stretch expected, found none; add [[terrain.stretches]] with kind = "level"')
 
 
-Terrain = Plane | Box | Hole | Stairs | Pillars | PillarField | Slope | Rubble | HeightMap | Relief | Puddle | Puddles | Course
+Terrain = (
+    Plane
+    | Box
+    | Hole
+    | Stairs
+    | Pillars
+    | PillarField
+    | Slope
+    | Rubble
+    | HeightMap
+    | Relief
+    | Puddle
+    | Puddles
+    | Patches
+    | Course
+)
 
 
 def _expect(holds: bool, expected: str, found: object) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import DEPTH, Terrain
+from sextant.services.simulator.physics.tipping import add_tipping
 from sextant.shared.geometry import Array, quaternion_from_rotation
 from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.links import LINK_RADII_M
@@ -23,7 +24,8 @@ ROBOT_GROUP, TERRAIN_GROUP = 1, 0  # geom groups, for ray casts against only one
 # Colours in MuJoCo's viewer and in exported models; the simulated cameras have their own.
 _FLOOR_RGBA, _BLOCK_RGBA = (0.80, 0.80, 0.78, 1.0), (0.66, 0.55, 0.42, 1.0)
 _TRUNK_RGBA, _LEG_RGBA = (0.18, 0.22, 0.28, 1.0), (0.90, 0.50, 0.16, 1.0)
-_FRICTION = (0.8, 0.005, 0.0001)  # sliding [1]; torsional and rolling [m], which contacts with condim = 3 do not use
+FRICTION = 0.8  # [1] sliding friction of feet on ordinary ground
+_FRICTION = (FRICTION, 0.005, 0.0001)  # sliding [1]; torsional and rolling [m], which contacts with condim = 3 do not use
 _LIMIT_MARGIN = np.radians(5.0)  # [rad] from the servo's limit to the mechanical stop of the brackets
 _TOUCH_RADIUS = 0.013  # [m] margin of the touch sensor around a foot; shank contacts further up are not foot contacts
 
@@ -97,6 +99,7 @@ def model_spec(profile: RobotProfile, terrain: Terrain, factors: Factors, imu: b
     _add_terrain(spec, terrain, friction)
     _add_robot(spec, profile, factors, friction, imu)
     _add_weak(spec, terrain, friction)
+    add_tipping(spec, terrain.boxes, terrain.tipping, _ground(friction))
     return spec
 
 
@@ -122,7 +125,7 @@ def _add_terrain(spec: Any, terrain: Terrain, friction: list[float]) -> None:
         world.add_geom(name="plane", type=plane, size=[0, 0, 0.05], pos=[0, 0, terrain.plane], **level)
     for kind, boxes in (("box", terrain.boxes), ("ground", ground)):
         for i, (centre, half, quat) in enumerate(zip(boxes.centre, boxes.half, quaternion_from_rotation(boxes.R), strict=True)):
-            if kind == "box" and i in terrain.weak.box:
+            if kind == "box" and (i in terrain.weak.box or i in terrain.tipping.box):
                 continue
             look = solid if kind == "box" else level
             world.add_geom(name=f"{kind} {i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, quat=quat, **look)

@@ -14,9 +14,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.simulator.physics.friction import NO_PATCHES, FrictionPatches, draw_patches
 from sextant.services.simulator.physics.height_map import read_height_map
 from sextant.services.simulator.physics.relief import build_relief
 from sextant.services.simulator.physics.solids import Boxes, HeightField
+from sextant.services.simulator.physics.tipping import NONE_TIPPING, Tipping
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, rotation_from_rpy, rotation_z
 from sextant.shared.scenario.relief import Relief
@@ -31,6 +33,7 @@ from sextant.shared.scenario.scenario import (
     HeightMap,
     Hole,
     Level,
+    Patches,
     PillarField,
     Pillars,
     Plane,
@@ -111,6 +114,8 @@ class Terrain:
     hollows: Hollows = _NO_HOLLOWS  # puddles in the plane
     look: Look | None = None
     weak: Weak = _NONE_WEAK  # weak boxes among `boxes`
+    tipping: Tipping = NONE_TIPPING  # tipping boxes among `boxes`
+    friction: FrictionPatches = NO_PATCHES
 
     def height_at(self, xy: Array) -> Array:
         """Return the true height (n,) [m] of the ground at points (n, 2) [m] {world}.
@@ -196,14 +201,15 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     fields: list[tuple[HeightField, Color | None]] = []
     puddles: list[Puddle] = []
     holes: list[Hole] = []
-    weak = [_NONE_WEAK]
+    patches: list[Patches] = []
+    weak, tipping = [_NONE_WEAK], [NONE_TIPPING]
     # `_drawn` resolves stairs and courses before any rubble is placed, so that rubble does not change their random draws.
     pieces: list[tuple[int, Primitive]] = []
     for k, whole in enumerate(scenario.terrain):
         with _named(f"terrain[{k}]"):
             pieces += [(k, piece) for piece in _drawn(whole, rng)]
     for k, part in pieces:
-        heap.paint = part.color
+        heap.paint = None if isinstance(part, Patches) else part.color
         with _named(f"terrain[{k}]"):
             match part:
                 case Plane():
@@ -216,7 +222,9 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
                 case Stairs():
                     _stairs(heap, part)
                 case Pillars():
-                    weak.append(_pillars(heap, part, rng))
+                    sinks, tips = _pillars(heap, part, rng)
+                    weak.append(sinks)
+                    tipping.append(tips)
                 case PillarField():
                     _pillar_field(heap, part, rng)
                 case Slope():
@@ -231,6 +239,8 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
                     puddles.append(part)
                 case Puddles():
                     puddles += _scattered(part, rng)
+                case Patches():
+                    patches.append(part)
                 case Course():
                     raise AssertionError("every course has been replaced by its pieces")
     with _named("terrain"):
@@ -251,7 +261,8 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
         look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
     level = planes[0].height if planes and not holes else None  # level ground with holes is made of boxes
     all_weak = Weak(*(np.concatenate([getattr(w, name) for w in weak]) for name in ("box", "bears", "sinks")))
-    return Terrain(heap.boxes(), field_, level, _hollows(puddles), look, all_weak)
+    all_tipping = Tipping(*(np.concatenate([getattr(t, name) for t in tipping]) for name in ("box", "base", "mass", "most")))
+    return Terrain(heap.boxes(), field_, level, _hollows(puddles), look, all_weak, all_tipping, draw_patches(patches, rng))
 
 
 def _rgb(colors: list[Color | None]) -> Array:
@@ -472,19 +483,30 @@ def _slope(heap: _Heap, slope: Slope) -> None:
         heap.add(middle, (slope.landing, slope.width), slope.base + rise, slope.base + min(rise, 0.0) - slope.depth, yaw)
 
 
-def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> Weak:
-    """Add pillars, and return the weak ones."""
+def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> tuple[Weak, Tipping]:
+    """Add pillars, and return those that sink and those that tip."""
     xy, tops = np.array(pillars.xy, dtype=np.float64).reshape(-1, 2), np.full(len(pillars.xy), pillars.top)
     if pillars.jitter:
         xy += rng.uniform(-pillars.jitter, pillars.jitter, xy.shape)
     if pillars.top_spread:
         tops += rng.uniform(-pillars.top_spread, pillars.top_spread, len(tops))
-    for place, top in zip(xy, tops.tolist(), strict=True):
-        heap.add(place, (pillars.length or pillars.size, pillars.size), top, pillars.top - pillars.depth)
-    if not pillars.weak:
-        return _NONE_WEAK
-    chosen = len(heap.centre) - len(xy) + np.sort(rng.permutation(len(xy))[: pillars.weak])
-    return Weak(chosen, np.full(pillars.weak, pillars.bears), np.full(pillars.weak, pillars.sinks))
+    size, bottom, first = (pillars.length or pillars.size, pillars.size), pillars.top - pillars.depth, len(heap.centre)
+    chosen = rng.permutation(len(xy)) if pillars.weak or pillars.tipping else np.zeros(0, dtype=np.intp)
+    weak, tipping = np.sort(chosen[: pillars.weak]), np.sort(chosen[pillars.weak :][: pillars.tipping])
+    for k, (place, top) in enumerate(zip(xy, tops.tolist(), strict=True)):
+        heap.add(place, size, top, top - pillars.tip_height if k in tipping else bottom)
+    for k in tipping.tolist():
+        heap.add(xy[k], (2 * pillars.bears_within,) * 2, float(tops[k]) - pillars.tip_height, bottom)
+    n = len(tipping)
+    return (
+        Weak(first + weak, np.full(len(weak), pillars.bears), np.full(len(weak), pillars.sinks)),
+        Tipping(
+            first + tipping,
+            np.full(n, pillars.bears_within),
+            np.full(n, pillars.tip_mass),
+            np.full(n, np.radians(pillars.tip_deg)),
+        ),
+    )
 
 
 def _pillar_field(heap: _Heap, pillars: PillarField, rng: np.random.Generator) -> None:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sextant.services.simulator.physics.model import TIME_STEP_NS, Factors, model_spec
+from sextant.services.simulator.physics.model import FRICTION, TIME_STEP_NS, Factors, model_spec
 from sextant.services.simulator.physics.solids import Boxes, Capsules
 from sextant.services.simulator.physics.terrain import Terrain
 from sextant.shared.errors import SextantError
@@ -70,7 +70,7 @@ class World:
         self._lowest, self._highest = np.moveaxis(m.actuator_forcerange.reshape(6, 3, 2), -1, 0)
         self._ctrl, self._torque = d.ctrl.reshape(6, 3), d.actuator_force.reshape(6, 3)
         self._qpos, self._qvel, self._sensors = d.qpos, d.qvel, d.sensordata
-        self._q, self._qd = d.qpos[7:].reshape(6, 3), d.qvel[6:].reshape(6, 3)
+        self._q, self._qd = d.qpos[7:25].reshape(6, 3), d.qvel[6:24].reshape(6, 3)
         self._body_position, self._body_axes = d.xpos[body], d.xmat[body]
         self._geom_position = d.geom_xpos
         self._warnings = d.warning.number  # of each kind, since the robot was placed
@@ -79,6 +79,9 @@ class World:
         self._patches = None if patches is None or bool((patches == 1.0).all()) else patches
         self._foot_friction = np.array(m.geom_friction[self._foot_geoms, 0])  # (6,) [1] sliding, where the patch is 1
         self._pressed = d.sensordata[len(d.sensordata) - len(terrain.weak) :]  # (n,) [N] load on the weak boxes
+        loose = [f"weak {i}" for i in terrain.weak.box] + [f"tipping {i}" for i in terrain.tipping.box]
+        self._loose_geoms = np.array([int(m.geom(name).id) for name in loose], dtype=np.intp)
+        self._tipped = d.qpos[25:].reshape(-1, 4)  # [rad] angles of the hinges of the tipping boxes
         self._gives = np.zeros(len(terrain.weak), dtype=bool)
         self._sunk = np.zeros(len(terrain.weak))
 
@@ -152,10 +155,8 @@ class World:
         np.negative(stiffness, out=self._bias)
         self._highest[...] = torque_limit
         np.negative(torque_limit, out=self._lowest)
-        if self._patches is not None:
-            patch = np.floor(self._geom_position[self._foot_geoms, :2] / PATCH_EDGE_M).astype(int) % len(self._patches)
-            friction = self._foot_friction * self._patches[patch[:, 0], patch[:, 1]]
-            self.model.geom_friction[self._foot_geoms, 0] = friction  # a foot's friction replaces that of the ground
+        if self._patches is not None or len(self.terrain.friction):
+            self.model.geom_friction[self._foot_geoms, 0] = self._friction()  # a foot's friction replaces that of the ground
         # mj_step2 before mj_step1: positions, velocities and contacts are then those after the step, at the cost of mj_step.
         for _ in range(steps):
             mujoco.mj_step2(self.model, self.data)
@@ -166,6 +167,17 @@ class World:
         # One velocity is enough, because a NaN spreads to all joints within a step.
         if not abs(self._qvel[0]) < 1e3 or self._warnings.tobytes().strip(b"\0"):
             raise PhysicsError(f"{self._fault()} at {self.time_ns / 1e9:.3f} s; check the commands before that time")
+
+    def _friction(self) -> Array:
+        """Return the friction (6,) of the feet where they are."""
+        xy, friction = self._geom_position[self._foot_geoms, :2], self._foot_friction
+        if self._patches is not None:
+            patch = np.floor(xy / PATCH_EDGE_M).astype(int) % len(self._patches)
+            friction = friction * self._patches[patch[:, 0], patch[:, 1]]
+        if len(self.terrain.friction):
+            on_patch = self.terrain.friction.at(xy)
+            friction = np.where(np.isnan(on_patch), friction, friction * on_patch / FRICTION)
+        return np.asarray(friction)
 
     def _fault(self) -> str:
         """Return what is wrong with the physics."""
@@ -191,6 +203,18 @@ class World:
     def sunk(self) -> Array:
         """Sinking depths (n,) [m] of the weak boxes."""
         return np.array(self._sunk)
+
+    @property
+    def tipped(self) -> Array:
+        """Angles (n,) [rad] by which the tipping boxes have tipped."""
+        return np.asarray(np.hypot(*np.abs(self._tipped.reshape(-1, 2, 2)).max(axis=2).T))
+
+    @property
+    def loose_boxes(self) -> Boxes:
+        """The weak boxes, then the tipping boxes, where they are now."""
+        loose = self._loose_geoms
+        axes = np.array(self.data.geom_xmat[loose]).reshape(-1, 3, 3)
+        return Boxes(np.array(self._geom_position[loose]), np.array(self.model.geom_size[loose]), axes)
 
     @property
     def time_ns(self) -> int:

@@ -51,16 +51,17 @@ class Renderer:
             self._grid = np.array([*field.origin, field.resolution])
         self._blocks = field_blocks(self._heights, self._grid)
         self._faces, self._materials = faces, materials.astype(np.uint16)
-        self._weak = (6 * terrain.weak.box[:, None] + np.arange(6)).ravel()  # indices of the faces of weak boxes
-        self._unsunk = faces[self._weak]  # (n, 4, 3) [m] {world} these faces before they sink
+        loose = np.concatenate([terrain.weak.box, terrain.tipping.box])
+        self._loose = (6 * loose[:, None] + np.arange(6)).ravel()  # indices of the faces of boxes that move
         self._plane = np.nan if terrain.plane is None else terrain.plane
         lens = float(intrinsics.fx), float(intrinsics.fy), float(intrinsics.cx), float(intrinsics.cy)
         self._canvas = new_canvas(intrinsics.width, intrinsics.height, lens, surfaces=False)
         self._colour_canvas: Canvas | None = None
 
-    def settle(self, sunk: Array) -> None:
-        """Set the sinking depths (n,) [m] of the terrain's weak boxes for the next frames."""
-        self._faces[self._weak] = self._unsunk - np.repeat(sunk, 6)[:, None, None] * (0.0, 0.0, 1.0)
+    def settle(self, loose: Boxes) -> None:
+        """Set the weak boxes, then the tipping boxes of the terrain, where they are in the next frames."""
+        if len(loose):
+            self._faces[self._loose] = _box_faces(loose)
 
     def inverse_depth(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.float32]:
         """Render inverse depth (h, w) [1/m], 0 without a surface.

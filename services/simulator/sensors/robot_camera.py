@@ -141,7 +141,7 @@ class RobotCamera:
             return replaced
         T_world_camera = self._T_world_camera
         with self._stages("render"):
-            self._renderer.settle(self._world.sunk)
+            self._renderer.settle(self._world.loose_boxes)
             picture = self._rendered(T_world_camera)
             if effects is not None:
                 picture = effects.scene(fault, picture, T_world_camera)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sextant.evaluation import report as reports
 from sextant.evaluation.report import FootholdEdge, Passage, Section
-from sextant.evaluation.scoring.passage_metrics import feet_off, steps_of
+from sextant.evaluation.scoring.passage_metrics import feet_off, steps_of, tipped
 from sextant.evaluation.trace.course import Course
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Scenario
@@ -191,3 +191,12 @@ def test_stopping_on_pillar_is_not_a_refusal(story):
     scenario = Scenario("slabs", (Plane(height=-0.4), *slabs), Goal(0.5, expect="either"))
     told = story(scenario=scenario, level=True, beyond=-0.2, tail_s=12.0, refusal="a gap")
     assert not told.judged().result().success
+
+
+@pytest.mark.parametrize(("depth", "carries", "count"), [(0.005, True, 0), (0.015, True, 1), (0.015, False, 0)])
+def test_foot_on_a_low_top_counts_as_tipped(depth, carries, count):
+    top = np.array([[0.5, 0.0, -0.02]]), np.array([[0.1, 0.1, 0.02]]), np.eye(3)[None]
+    feet = np.full((N, 6, 3), 9.0)
+    feet[:, 2] = 0.45, 0.02, 0.01
+    feet[40:80, 2, 2] -= depth
+    assert tipped(feet, np.full((N, 6), carries), 0.01, top) == count

@@ -31,6 +31,7 @@ from sextant.shared.scenario.scenario import (
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
 PILLARS = {"kind": "pillars", "xy": [[1.0, 0.0]], "size": 0.1, "top": 0.0}
 RUBBLE = {"kind": "rubble", "x": [0, 1], "y": [0, 1], "count": 3, "size": [0.1, 0.2], "top": [0.0, 0.1]}
+PATCHES = {"kind": "patches", "x": [0, 1], "y": [0, 1], "count": 2, "size": [0.1, 0.2], "frictions": [0.2]}
 FIELD = {"kind": "pillar_field", "x": [1.0, 2.0], "y": [-0.5, 0.5], "density": [0.2, 0.3], "size": 0.1, "top": 0.0}
 COURSE = {"kind": "course", "width": 1.0}
 STONES = {"kind": "stones", "length": 1.0, "size": 0.12, "gap": 0.05}
@@ -133,6 +134,15 @@ def test_unknown_name_lists_known_ones() -> None:
         ({"terrain": [PILLARS | {"jitter": -0.01}]}, r"terrain\[0\]: a jitter and a top_spread of at least 0 m"),
         ({"terrain": [PILLARS | {"weak": 2}]}, r"terrain\[0\]: 0 to 1 weak pillars, the number of pillars"),
         ({"terrain": [PILLARS | {"weak": 1, "sinks": 0.5}]}, r"terrain\[0\]: bears of at least 0 N and sinks between 0 m"),
+        (
+            {"terrain": [PILLARS | {"tipping": 2}]},
+            r"terrain\[0\]: 0 to 1 tipping pillars",
+        ),
+        ({"terrain": [PILLARS | {"tipping": 1, "bears_within": 0.5}]}, r"terrain\[0\]: bears_within between 0 m and half"),
+        ({"terrain": [PILLARS | {"tip_deg": 0}]}, r"terrain\[0\].tip_deg: more than 0 and at most 90 deg"),
+        ({"terrain": [PATCHES | {"frictions": []}]}, r"terrain\[0\]: at least one friction"),
+        ({"terrain": [PATCHES | {"frictions": [0.0]}]}, r"terrain\[0\].frictions"),
+        ({"terrain": [PATCHES | {"size": [0.3, 0.2]}]}, r"terrain\[0\]: size in rising order"),
         ({"terrain": [FIELD | {"density": [0.3, 0.2]}]}, r"terrain\[0\]: densities in rising order"),
         ({"start": {"yaw_spread_deg": -1.0}}, "start: spreads of at least 0"),
         ({"terrain": [COURSE | {"stretches": []}]}, r"terrain\[0\]: at least one stretch expected"),

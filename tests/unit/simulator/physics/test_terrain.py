@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from sextant.services.simulator.physics.friction import FrictionPatches
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import Terrain, build_terrain
 from sextant.services.simulator.physics.world import World
@@ -24,6 +25,7 @@ from sextant.shared.scenario.scenario import (
     HeightMap,
     Hole,
     Level,
+    Patches,
     PillarField,
     Pillars,
     Plane,
@@ -157,6 +159,24 @@ def test_seed_selects_given_number_of_weak_pillars() -> None:
         xy = terrain.boxes.centre[:, :2]
         np.testing.assert_array_equal(terrain.sink_at(xy), np.where(np.arange(4) == k, 0.05, 0.0))
         np.testing.assert_array_equal(terrain.height_at(xy), 0.0)  # the visible surface is unchanged
+
+
+def test_tipping_pillars_look_like_the_others_from_above() -> None:
+    pillars = Pillars(((0.0, 0.0), (0.3, 0.0), (0.6, 0.0)), 0.1, 0.0, jitter=0.01)
+    firm, loose = build(pillars, seed=4), build(replace(pillars, tipping=2, weak=1), seed=4)
+    xy = np.random.default_rng(0).uniform((-0.1, -0.1), (0.7, 0.1), (500, 2))
+    np.testing.assert_array_equal(loose.height_at(xy), firm.height_at(xy))
+    assert sorted([*loose.tipping.box, *loose.weak.box]) == [0, 1, 2]
+
+
+def test_last_patch_of_friction_counts_and_seed_draws_patches() -> None:
+    patches = Patches((0.0, 1.0), (0.0, 1.0), 3, (0.3, 0.5), (0.2, 0.4))
+    one, same, other = (build(Plane(), patches, seed=seed).friction for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.low, same.low)
+    assert (one.low != other.low).any()
+    assert np.isnan(one.at(np.array([[5.0, 5.0]]))).all()
+    both = FrictionPatches(np.zeros((2, 2)), np.ones((2, 2)), np.array([0.2, 0.4]))
+    assert both.at(np.array([[0.5, 0.5]])) == 0.4
 
 
 def outline(centre: Array, half: Array, R: Array) -> Array:

@@ -13,7 +13,7 @@ from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.robot.stability import centre_of_mass
-from sextant.shared.scenario.scenario import Goal, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
+from sextant.shared.scenario.scenario import Goal, Patches, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
 
 NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 FLAT = Terrain(NO_BOXES, plane=0.0)
@@ -383,3 +383,53 @@ def test_pillar_with_sufficient_capacity_does_not_sink() -> None:
     assert world.sunk == 0.0
     assert world.foot_contact.all()
     np.testing.assert_allclose(world.p_world_foot, other.p_world_foot, atol=1e-6)
+
+
+def pillar_beside_foot(off: float) -> Terrain:
+    """Return a tipping pillar whose middle is `off` [m] behind the first foot, and firm ones under the other feet."""
+    world = World(PROFILE, FLAT)
+    world.stand(standing_angles(PROFILE))
+    (x, y, _), *others = world.p_world_foot.tolist()
+    firm = Pillars(tuple((a, b) for a, b, _ in others), 0.10, 0.0)
+    tipping = Pillars(((x - off, y),), 0.20, 0.0, tipping=1, bears_within=0.03, tip_height=0.04, tip_mass=0.2)
+    return build_terrain(Scenario("pillars", (firm, tipping), Goal(1.0)), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("off", "tips"), [(0.0, False), (0.028, False), (-0.028, False), (0.08, True), (-0.08, True)])
+def test_pillar_tips_only_when_loaded_beyond_its_base(off: float, tips: bool) -> None:
+    q, world = standing_angles(PROFILE), World(PROFILE, pillar_beside_foot(off))
+    world.stand(q)
+    for _ in range(150):
+        world.step(q, RIGID, STRONG, steps=2)
+    assert (np.degrees(world.tipped[0]) > 0.2) == tips
+    load = float(world.foot_force[0])
+    assert load > 1.0
+    if tips:  # about the edge, load and weight balance but for friction, whose lever arm is the height of the box
+        assert abs(load * (abs(off) - 0.03) - 0.2 * 9.81 * 0.03) < 0.8 * load * 0.04
+
+
+def test_tipped_pillar_falls_back_without_load() -> None:
+    q, world = standing_angles(PROFILE), World(PROFILE, pillar_beside_foot(0.08))
+    world.stand(q)
+    pressed, raised = q.copy(), q.copy()
+    pressed[0, 1] -= 0.15
+    raised[0, 1] += 0.5
+    for _ in range(100):
+        world.step(pressed, RIGID, STRONG, steps=2)
+    assert np.degrees(world.tipped[0]) > 5.0
+    for _ in range(200):
+        world.step(raised, RIGID, STRONG, steps=2)
+    assert np.degrees(world.tipped[0]) < 0.5
+    np.testing.assert_allclose(world.loose_boxes.centre, world.terrain.boxes.centre[world.terrain.tipping.box], atol=1e-3)
+
+
+def test_foot_has_the_friction_of_the_patch_under_it() -> None:
+    everywhere = Patches((0.0, 0.0), (0.0, 0.0), 1, (9.0, 9.0), (0.2,))
+    terrain = build_terrain(Scenario("patch", (Plane(), everywhere), Goal(1.0)), np.random.default_rng(0))
+    factors = Factors(np.ones((6, 3)), np.ones((6, 3)), 1.0, foot_friction=np.linspace(0.9, 1.1, 6))
+    world = World(PROFILE, terrain, factors)
+    q = standing_angles(PROFILE)
+    world.stand(q)
+    world.step(q, RIGID, STRONG)
+    feet = [world.model.geom(f"foot {leg.name}").friction[0] for leg in PROFILE.legs]
+    np.testing.assert_allclose(feet, 0.2 * np.linspace(0.9, 1.1, 6))
