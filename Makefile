@@ -39,15 +39,15 @@ wheel: $(VENV)/.installed-all
 	@ls dist/*.whl
 
 live: $(VENV)/.installed-dev
-	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m "live and not campaign" $(LIVE)
+	@trap 'rm -f $(VENV)/.live' EXIT; trap 'exit 130' INT TERM; $(BIN)/python -m pytest -q -m "live and not rare" $(LIVE)
 
 others: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m "not live and not campaign" --ignore=tests/live -n $(JOBS) --dist loadfile --no-loadscope-reorder \
+	$(BIN)/python -m pytest -q -m "not live and not rare" --ignore=tests/live -n $(JOBS) --dist loadfile --no-loadscope-reorder \
 		--give-way=$(VENV)/.live
 
 # What is rare and long: one test after the other, since some are live.
 rare: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m campaign
+	$(BIN)/python -m pytest -q -m rare
 
 # What README and docs claim and the present code has not shown: docs/evidence.md.
 campaign: $(VENV)/.installed-dev

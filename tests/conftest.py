@@ -42,13 +42,13 @@ def pytest_runtest_setup() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark walks, live tests and campaigns as slow; run slow files first.
+    """Mark walks, live and rare tests as slow; run slow files first.
 
     So no worker runs a long file alone at the end.
     """
     slow_files = set()
     for item in items:
-        if item.path.parent == _WALKS or item.get_closest_marker("live") or item.get_closest_marker("campaign"):
+        if item.path.parent == _WALKS or item.get_closest_marker("live") or item.get_closest_marker("rare"):
             item.add_marker(pytest.mark.slow)
         if item.get_closest_marker("slow"):
             slow_files.add(item.path)

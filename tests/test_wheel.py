@@ -24,7 +24,7 @@ print(any(one.stats.cache_hits for one in functions), any(one.stats.cache_misses
 """
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_package_installed_from_wheel_compiles_nothing(tmp_path: Path) -> None:
     source, installed = tmp_path / "source", tmp_path / "installed"
     shutil.copytree(ROOT, source, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_OUT))

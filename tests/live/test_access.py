@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import cli
 
-pytestmark = [pytest.mark.live, pytest.mark.campaign]
+pytestmark = [pytest.mark.live, pytest.mark.rare]
 
 
 def test_access_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -187,7 +187,7 @@ def test_fleet_page_shows_all_robots_and_opens_each(
         assert errors == []
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_fleet_benchmark_loads_base_with_recorded_robot(tmp_path: Path) -> None:
     """Load a base for a short time; here the machine may be busy.
 

@@ -52,7 +52,7 @@ def test_documented_commands_walk_on_two_machines(two_machines: NetTestbed, tmp_
     walk_by_documented_commands(two_machines, tmp_path)
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_documented_commands_walk_through_relay(tmp_path: Path) -> None:
     skip_where_taken(PORT)
     with OneMachine(LINK) as bed:
@@ -94,7 +94,7 @@ def walk_by_documented_commands(bed: NetTestbed, tmp_path: Path) -> None:
         assert bed.carried().from_robot > 0
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_camera_is_calibrated_from_the_base_only(two_machines: NetTestbed, tmp_path: Path) -> None:
     bed, own = two_machines, tmp_path / "my_robot.toml"
     make_keys = documented_command(next(commands(PAGE)), bed, tmp_path)
@@ -114,7 +114,7 @@ def test_camera_is_calibrated_from_the_base_only(two_machines: NetTestbed, tmp_p
     assert len(load_profile(str(own)).calibration) >= 4
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 @pytest.mark.usefixtures("bed")
 def test_robot_holds_during_radio_outage_and_resumes(tmp_path: Path) -> None:
     """Hold during cuts, and walk on; here the machine may be busy.

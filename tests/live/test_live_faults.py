@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.commands import Command
 
-pytestmark = [pytest.mark.live, pytest.mark.campaign]
+pytestmark = [pytest.mark.live, pytest.mark.rare]
 
 
 def test_actuator_killed_during_walk_restarts_and_holds(tmp_path: Path) -> None:

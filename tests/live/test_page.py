@@ -147,9 +147,9 @@ def test_robot_walks_while_pad_is_held(robot: PageRobot, hand: Hand) -> None:
     [
         "keys",
         "frozen",
-        pytest.param("hidden", marks=pytest.mark.campaign),
-        pytest.param("blur", marks=pytest.mark.campaign),
-        pytest.param("cut off", marks=pytest.mark.campaign),
+        pytest.param("hidden", marks=pytest.mark.rare),
+        pytest.param("blur", marks=pytest.mark.rare),
+        pytest.param("cut off", marks=pytest.mark.rare),
     ],
 )
 def test_end_of_press_stops_robot_until_new_press(robot: PageRobot, chromium: Any, hand: Hand, how: str) -> None:

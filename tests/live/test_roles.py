@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.access import live_role_attack
 
-pytestmark = [pytest.mark.live, pytest.mark.campaign]
+pytestmark = [pytest.mark.live, pytest.mark.rare]
 
 
 def test_robot_survives_extreme_messages_and_obeys_torque_off() -> None:

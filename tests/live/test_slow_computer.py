@@ -71,7 +71,7 @@ def test_slow_computer_run_reports_late_inputs_and_ends_with_its_simulator(tmp_p
     assert "stuck" not in report["reason"]
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_simulated_time_waits_for_a_service_that_is_late(tmp_path: Path) -> None:
     course, out = write_course(tmp_path, "short", 0.3), tmp_path / "out"
     words = ("run", str(course), "--slow-down", "--seed", "1000", "--out", str(out))

@@ -8,7 +8,7 @@ from benchmarks.robot import soak
 from sextant.deploy.launch.process_table import rows
 from tests.support.commands import Command
 
-pytestmark = [pytest.mark.live, pytest.mark.campaign]
+pytestmark = [pytest.mark.live, pytest.mark.rare]
 
 
 def test_soak_measures_memory_of_processes_and_age_of_topics(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from benchmarks import cli
 from benchmarks.access import strangers
 
-pytestmark = [pytest.mark.live, pytest.mark.campaign]
+pytestmark = [pytest.mark.live, pytest.mark.rare]
 
 
 def test_base_and_actuator_connect_among_unauthorized_clients(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -70,7 +70,7 @@ def test_gap_of_200_ms_in_images_does_not_stop_walk() -> None:
     assert_goal_reached_with_correct_maps(found)
 
 
-@pytest.mark.parametrize("imu", [True, pytest.param(False, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("imu", [True, pytest.param(False, marks=pytest.mark.rare)])
 def test_robot_walks_by_touch_over_unseen_ground_on_request(imu: bool) -> None:
     blocks = tuple(Box((0.75 + 0.13 * i, y), (0.09, 0.12), 0.02 + 0.01 * (i % 3)) for i in range(2) for y in (-0.2, 0.2))
     course = Scenario(

@@ -13,7 +13,7 @@ from sextant.shared.wire.messages import Mode
 from tests.support.walks import walk
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_robot_walks_around_wall_to_goal() -> None:
     heard = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.GOAL, topics.VELOCITY, topics.BODY_POSE, topics.TRUTH)
     found = walk(load_scenario("wall"), 1001, heard)
@@ -34,7 +34,7 @@ def test_robot_walks_around_wall_to_goal() -> None:
     assert not check(as_table(report))
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_robot_walks_over_rubble_and_stairs_to_goal() -> None:
     found = walk(load_scenario("goal_stairs"), 1001, (topics.GOAL, topics.VELOCITY, topics.BODY_POSE))
     report = found.report

@@ -21,7 +21,7 @@ def course(tmp_path: Path, distance: float, time_limit_s: float) -> str:
     return str(path)
 
 
-@pytest.mark.campaign  # the wrapper of `gymnasium.make` checks the same of the first reset and step below
+@pytest.mark.rare  # the wrapper of `gymnasium.make` checks the same of the first reset and step below
 def test_gymnasium_checker_finds_no_fault() -> None:
     check_env(HexapodEnv("flat", step_s=0.2), skip_render_check=True)  # any warning is an error here
 

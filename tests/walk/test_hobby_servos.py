@@ -64,7 +64,7 @@ class Walk:
         ("maestro", "flat", 0.4),
         ("pca9685", "flat", 0.4),
         *(
-            pytest.param(board, name, load_scenario(name).goal.distance, marks=pytest.mark.campaign)
+            pytest.param(board, name, load_scenario(name).goal.distance, marks=pytest.mark.rare)
             for board in BOARDS
             for name in ("steps", "stairs")
         ),

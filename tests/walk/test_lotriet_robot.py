@@ -19,7 +19,7 @@ _LOOK_NS = 500_000_000
     ("name", "distance"),
     [
         ("lotriet_flat", 0.6),
-        *(pytest.param(name, load_scenario(name).goal.distance, marks=pytest.mark.campaign) for name in TESTS),
+        *(pytest.param(name, load_scenario(name).goal.distance, marks=pytest.mark.rare) for name in TESTS),
     ],
 )
 def test_rx64_robot_matches_or_exceeds_thesis_results(name: str, distance: float) -> None:

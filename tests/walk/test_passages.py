@@ -40,7 +40,7 @@ def bridge_aside(degrees: float) -> Scenario:
     return replace(passage, goal=replace(passage.goal, distance=2.3), terrain=(Plane(height=-0.4), course, *boxes))
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_bridge_that_leads_aside_is_crossed_with_turns_of_the_body() -> None:
     found = walk(bridge_aside(22.0), 1000, WANTED)
     report = found.report
@@ -64,7 +64,7 @@ def uneven_pillars() -> Scenario:
     return replace(passage, goal=replace(passage.goal, distance=2.3), terrain=(Plane(height=-0.4), course, *pillars))
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_pillars_of_changing_heights_are_crossed_with_looks_from_nearer() -> None:
     found = walk(uneven_pillars(), 1000, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
@@ -77,7 +77,7 @@ def test_pillars_of_changing_heights_are_crossed_with_looks_from_nearer() -> Non
     assert np.ptp(heights) > 0.04
 
 
-@pytest.mark.parametrize("scenario", [short_gap(), pytest.param(load_scenario("passage3"), marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("scenario", [short_gap(), pytest.param(load_scenario("passage3"), marks=pytest.mark.rare)])
 def test_robot_crosses_passage(scenario: Scenario) -> None:
     found = walk(scenario, 1000, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
@@ -105,7 +105,7 @@ def test_robot_crosses_passage(scenario: Scenario) -> None:
             assert all(b > a - 0.05 for a, b in pairwise(ahead))
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_sinking_pillar_is_detected_by_touch_and_passage_is_replanned() -> None:
     found = walk(load_scenario("passage_gives_way"), 1005, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)

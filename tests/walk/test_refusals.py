@@ -44,7 +44,7 @@ top = 0.0
 }
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 @pytest.mark.parametrize("what", COURSES)
 def test_robot_stops_before_ground_without_footholds_and_names_leg(what: str, tmp_path: Path) -> None:
     terrain, edge = COURSES[what]

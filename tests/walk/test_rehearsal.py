@@ -20,8 +20,8 @@ PATIENCE_S = 300.0  # [s], if nothing has been compiled yet
     ("scenario", "until_s"),
     [
         ("steps", 5.0),
-        pytest.param("cobbles", 2.0, marks=pytest.mark.campaign),
-        pytest.param("puddle", 3.0, marks=pytest.mark.campaign),
+        pytest.param("cobbles", 2.0, marks=pytest.mark.rare),
+        pytest.param("puddle", 3.0, marks=pytest.mark.rare),
     ],
 )
 def test_walk_compiles_no_function_after_warm_up(scenario: str, until_s: float) -> None:

@@ -21,7 +21,7 @@ STRONG = [name for name in FAMILIES if name != "XL-320"]  # 0.39 N m are too wea
         ("STS3215", "flat", 0.4),
         ("XL430-W250", "flat", 0.4),
         ("LX-16A", "flat", 0.4),
-        *(pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.campaign) for name in STRONG),
+        *(pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.rare) for name in STRONG),
     ],
 )
 def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> None:
@@ -33,7 +33,7 @@ def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> No
     [
         ("XL430-W250", "flat", 0.4),
         *(
-            pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.campaign)
+            pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.rare)
             for name in ("AX-12A", "MX-28", "XL430-W250", "XM430-W350", "STS3215")  # XL-320 fails: docs/firmware.md
         ),
     ],
@@ -42,7 +42,7 @@ def test_robot_walks_with_a_microcontroller_between(name: str, terrain: str, dis
     walk(robot_with(name), terrain, distance, bridge=True)
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_robot_with_command_servos_walks_over_steps() -> None:
     walk(load_profile("jethexa_hx35h"), "steps", load_scenario("steps").goal.distance)
 

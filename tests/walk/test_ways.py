@@ -9,7 +9,7 @@ from sextant.shared.scenario.scenario import load_scenario
 LENGTHS = {"far_goal": 14.0, "loop": 30.0}  # [m] of the way
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 @pytest.mark.parametrize("name", WAYS)
 def test_robot_reaches_the_goal(name: str) -> None:
     report = run_lockstep(load_scenario(name), 1001)

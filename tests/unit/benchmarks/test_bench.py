@@ -86,7 +86,7 @@ def test_displaced_robot_keeps_odometry_and_relative_motion() -> None:
     )
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_accuracy_of_synthetic_trajectory() -> None:
     result = accuracy.measure(MAPPED["steps"], 1000, survey=True)
     assert result.legs_drift == pytest.approx(0.1, abs=0.01)
@@ -441,7 +441,7 @@ def test_registration_on_sparse_boxes_resists_leg_slip() -> None:
     assert np.linalg.norm(T[:3, 3] - true[59][:3, 3]) < 0.03
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_passage_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["passage", "--seeds", "1000:1001", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)

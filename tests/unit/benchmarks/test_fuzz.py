@@ -89,7 +89,7 @@ def test_message_that_ends_process_is_saved(monkeypatch: pytest.MonkeyPatch, tmp
     assert rest[4 : 4 + length] == given[0]
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_fuzz_command_reports_findings_and_repeats_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [sys.executable, "-m", "benchmarks", "fuzz", "--messages", "20000", "--jobs", "2", "--out", str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300.0)

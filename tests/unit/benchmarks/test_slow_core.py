@@ -48,7 +48,7 @@ def test_actuator_of_a_run_is_found_and_no_other() -> None:
 
 
 @pytest.mark.live
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_slow_core_command_walks(tmp_path: Path) -> None:
     if os.geteuid():
         pytest.skip("control groups need root")

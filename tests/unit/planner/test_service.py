@@ -901,7 +901,7 @@ def test_without_touch_unseen_start_counts_as_level_ground(monkeypatch: pytest.M
     assert "as on level ground" in rig.status().reason
 
 
-@pytest.mark.campaign
+@pytest.mark.rare
 def test_robot_leaves_unseen_start_by_blind_walking_onto_seen_ground() -> None:
     rig = Rig()
     rig.terrain = partly_unseen_map(lambda x, y: x > 0.5)
