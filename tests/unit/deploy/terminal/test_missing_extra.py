@@ -37,7 +37,7 @@ COMMANDS = {
     "trials flat --seeds 0:1 --out runs --cluster local:2": "cluster",
     "up all --scenario steps": "all",
     "video runs": "all",
-    "plot runs": "all",
+    "figures run runs": "all",
     "recording info runs": "recording",
     "recording recover runs": "recording",
     "record": "recording",
