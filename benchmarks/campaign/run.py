@@ -17,6 +17,7 @@ from sextant.shared.errors import SextantError
 from sextant.shared.files import whole_files
 
 _LIMIT_BROKEN = 1  # exit status of a command that ran, and found that a limit was not kept
+_STDERR = 2  # file descriptor: what commands print is progress, and no part of the campaign's own result
 _TO_END_S = 120.0  # for a command that was interrupted, to write what it has found
 
 
@@ -62,7 +63,8 @@ def run(part: Part, out: Path, workers: str, until: float, say: Callable[[str], 
 
 def _status(words: list[str], until: float) -> int | None:
     """Run a command and return its exit status, or None if it was interrupted at a time."""
-    process = subprocess.Popen(words, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, start_new_session=True)
+    around = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(words, cwd=ROOT, env=around, stdout=_STDERR, start_new_session=True)
     try:
         return process.wait(None if until == float("inf") else max(until - time.monotonic(), 0.0))
     except subprocess.TimeoutExpired:

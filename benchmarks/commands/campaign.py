@@ -11,9 +11,9 @@ from benchmarks.campaign import evidence as evidences
 from benchmarks.campaign import table
 from benchmarks.campaign.evidence import Standing
 from benchmarks.campaign.part import ROOT, Part, load
-from benchmarks.campaign.run import run
+from benchmarks.campaign.run import PartError, run
 from sextant.deploy.commands import options
-from sextant.deploy.commands.common import SUCCESS, InputError, say
+from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, say
 from sextant.deploy.terminal.arguments import argument, command, flag, number, option
 from sextant.evaluation import provenance
 
@@ -55,20 +55,27 @@ def campaign(
         raise InputError("a checkout without changes expected, because results carry its commit; commit the changes first")
     workers = f"--jobs {jobs}" if cluster is None else f"--cluster {cluster}"
     until = math.inf if hours is None else time.monotonic() + hours * 3600.0
-    folder = _OUT if out is None else Path(out)
+    folder, hear, failed = _OUT if out is None else Path(out), open_progress(as_json).say, list[str]()
     for name in standing:
         if names or not standing[name].holds:
-            say(f"{name}: {wanted[name].claim}, about {wanted[name].core_hours:g} core-hours")
-            made = run(wanted[name], folder / name / provenance.commit(), workers, until, say)
+            hear(f"{name}: {wanted[name].claim}, about {wanted[name].core_hours:g} core-hours")
+            try:
+                made = run(wanted[name], folder / name / provenance.commit(), workers, until, hear)
+            except PartError as error:  # the others do not depend on it
+                failed.append(name)
+                complain(f"{name}: {error}")
+                continue
             if made is None:
-                say(f"{name}: not finished after {hours:g} hours; the next run continues at the same commit")
+                hear(f"{name}: not finished after {hours:g} hours; the next run continues at the same commit")
                 break
             found[name] = made
             evidences.keep(found)
-            say(f"{name}: docs/{wanted[name].kept}")
+            hear(f"{name}: docs/{wanted[name].kept}")
     standing = table.standings(wanted, found)
     say(_as_json(wanted, found, standing) if as_json else table.in_words(wanted, found, standing))
-    return SUCCESS
+    if failed:
+        complain(f"without a result: {', '.join(failed)}")
+    return FAILED if failed else SUCCESS
 
 
 def _as_json(parts: dict[str, Part], found: dict[str, evidences.Evidence], standing: dict[str, Standing]) -> str:

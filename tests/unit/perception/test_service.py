@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.services.perception.config import Settings
 from sextant.services.perception.service import Perception
-from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, is_rigid, yaw_of
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, is_rigid, rotation_from_rpy, yaw_of
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.kinematics import body_inverse, leg_points
-from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profile import GRAVITY, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import BodyPose, DepthImage, FloorView, Message, Odometry, Preview, Scan
+from sextant.shared.wire.messages import BodyPose, DepthImage, FloorView, Imu, Message, Odometry, Preview, Scan
 from tests.support.states import actuator_state
 
 MS = 1_000_000
@@ -84,6 +84,26 @@ class Rig:
 
 def pose_of(messages: list[Message]) -> BodyPose:
     return next(m for m in messages if isinstance(m, BodyPose))
+
+
+def test_world_of_a_robot_on_a_slope_is_level_by_its_inertial_sensor(world) -> None:  # type: ignore[no-untyped-def]
+    rig, slope = Rig(world), rotation_from_rpy((0.0, np.radians(-8.0), 0.0))  # the feet's plane in a level {world}
+
+    def feel(count: int) -> None:
+        for _ in range(count):
+            rig.now_ns += 10 * MS
+            reading = Imu(rig.now_ns, np.zeros(3), GRAVITY * slope[2])
+            rig.inbox.receive(topics.IMU, codec.encode(reading), rig.now_ns)
+
+    feel(3)
+    assert rig.frame(body_at(0.0)) == []
+    assert rig.perception.status() == "waiting for the inertial sensor, which has begun to send"
+    feel(40)
+    first = pose_of(rig.frame(body_at(0.0))).T_world_body
+    np.testing.assert_allclose(first[:3, :3], slope, atol=np.radians(0.3))
+    feel(3)
+    ahead = pose_of(rig.frame(body_at(0.02))).T_world_body[:3, 3] - first[:3, 3]
+    np.testing.assert_allclose(ahead, 0.02 * slope[:, 0], atol=0.004)
 
 
 def test_perception_waits_for_odometry_and_reports_it(world) -> None:  # type: ignore[no-untyped-def]

@@ -18,6 +18,7 @@ from benchmarks.campaign import evidence as evidences
 from benchmarks.campaign.code_state import Dependencies
 from benchmarks.campaign.evidence import Evidence, Standing, ordered
 from benchmarks.campaign.part import Part, load
+from benchmarks.commands import campaign as command
 from sextant.deploy import cli as sextant_cli
 from sextant.deploy.terminal.arguments import parse
 from sextant.evaluation.trials import results_store
@@ -209,3 +210,23 @@ def test_command_prints_standings_and_refuses_unknown_parts(capsys: pytest.Captu
     assert json.loads(capsys.readouterr().out)["walks"]["commands"][0].startswith("sextant trials all")
     assert cli.main(["campaign", "walk"]) == 2
     assert "no part 'walk'; did you mean 'walks'?" in capsys.readouterr().err
+
+
+def test_failed_part_does_not_stop_the_others(
+    docs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept: list[set[str]] = []
+
+    def ran(one: Part, *_: object) -> Evidence:
+        if one.page == "fuzz":
+            raise run.PartError("exit status 0 or 1 expected, found 2")
+        return EVIDENCE
+
+    monkeypatch.setattr(command, "run", ran)
+    monkeypatch.setattr(evidences, "keep", lambda found: kept.append(set(found)))
+    assert cli.main(["campaign", "fuzz", "size", "--run", "--json", "--out", str(tmp_path)]) == 1
+    printed = capsys.readouterr()
+    assert set(json.loads(printed.out)) == {"fuzz", "size"}
+    assert "fuzz: exit status 0 or 1 expected, found 2\nwithout a result: fuzz\n" in printed.err
+    assert len(kept) == 1
+    assert "size" in kept[0]
