@@ -55,8 +55,9 @@ class Part:
 
     @property
     def told(self) -> str:
-        """The commands as a user types them."""
-        return "; ".join(" ".join(line.replace(_WORKERS, "").split()) for line in self.commands)
+        """The first command as a user types it, in Markdown, and how many there are beside it."""
+        first = " ".join(self.commands[0].replace(_WORKERS, "").split())
+        return f"`{first}`" + (f" and {len(self.commands) - 1} more" if self.commands[1:] else "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,10 +31,10 @@ def page(parts: Mapping[str, Part], found: Mapping[str, Evidence]) -> str:
     lines = [f"| {' | '.join(headings)} |", "|" + "---|" * len(headings)]
     for name, part in parts.items():
         evidence = found.get(name)
-        made = f"{evidence.made.words}, {evidence.machine}" if evidence else "not yet"
+        made = ", ".join(filter(None, (evidence.made.words, evidence.machine))) if evidence else "not yet"
         kept = f"`docs/{part.kept}`" if evidence else "none"
         claim = f"[{part.claim}]({part.page}.md)"
-        lines.append(f"| {claim} | `{part.told}` | {kept} | {made} | {_hours(part, evidence)} |")
+        lines.append(f"| {claim} | {part.told} | {kept} | {made} | {_hours(part, evidence)} |")
     return "\n".join(lines)
 
 
