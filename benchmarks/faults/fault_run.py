@@ -17,7 +17,8 @@ from sextant.shared.errors import SextantError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import ServiceFailedError
-from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.terrain import Terrain, build_terrain
-from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
-from sextant.shared.scenario.scenario import Terrain as Part
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Pillars, Plane, Rubble, Slope, Stairs
+from sextant.shared.scenario.terrain import Terrain as Part
 
 Scene = Callable[[np.random.Generator], Terrain]
 

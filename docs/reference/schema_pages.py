@@ -8,12 +8,13 @@ from docs.reference.schema_tables import Layout, kind_of, tables, tables_of
 from docs.reference.terrain_pictures import EXAMPLES
 from sextant.evaluation.report import Report
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.scenario.scenario import Course, Scenario
+from sextant.shared.scenario.course import Course
+from sextant.shared.scenario.scenario import Scenario
 
 _SCENARIO = """# Scenario format
 
 *`python -m docs.reference scenarios` makes this page, the pages of its parts and their pictures from the schema
-(`shared/scenario/scenario.py`); a test checks that they are up to date.*
+(`shared/scenario/scenario.py` and `terrain.py`); a test checks that they are up to date.*
 
 A scenario is a TOML file with a course and the parameters to walk it. `sextant run FILE.toml`, `trials`, `demo` and
 `up --scenario` take its path. {world} has its origin on the ground below the robot's start; x is its heading at yaw 0, z is up.

@@ -7,7 +7,8 @@ import numpy as np
 from sextant.shared.geometry import Array, apply
 from sextant.shared.recording.reader import Recording
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, BodyPose, GroundTruth, TerrainMap
 

@@ -16,7 +16,8 @@ from sextant.services.planner.roadmap.sections import goal_behind
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.scenario.scenario import PillarField, Scenario
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.scenario.terrain import PillarField
 
 # Half width [m] of a band, tolerance in height [m], and the share [1] of supporting ground below which the gap begins.
 _HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8

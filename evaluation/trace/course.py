@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
 from sextant.shared.robot.profile import Camera
-from sextant.shared.scenario.scenario import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.scenario.terrain import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble
 
 RAISED = 0.005  # [m] ground this much higher than its surroundings is raised
 _NARROW = 0.20  # [m] maximum width of narrow tops, such as pillars and stones

@@ -11,7 +11,8 @@ from sextant.evaluation.trials.cluster import Cluster
 from sextant.evaluation.trials.trials import Runner
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
-from sextant.shared.scenario.scenario import HeightMap, Scenario, load_scenario
+from sextant.shared.scenario.scenario import Scenario, load_scenario
+from sextant.shared.scenario.terrain import HeightMap
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,6 +74,11 @@ def each(keys: str, holds: Callable[[Any], bool], expected: str) -> tuple[Check,
     return tuple(map(of, keys.split()))
 
 
+def bounded(keys: str, most: float, unit: str) -> tuple[Check, ...]:
+    """Return one check per key in `keys`: numbers, or lists of them, within +- `most`."""
+    return each(keys, lambda value: value is None or abs(value) <= most, f"at most {most:g} {unit} either way")
+
+
 def ranged(default: N, low: float, high: float) -> N:
     """Declare a number of a dataclass with its default and its allowed range, ends included."""
     return dataclasses.field(default=default, metadata={_RANGE: (low, high)})
@@ -97,6 +102,12 @@ def together(keys: str, holds: Callable[..., bool], expected: str) -> Check:
             yield Misfit(names[0], expected, found)
 
     return Check(tuple(names), finds)
+
+
+def expect(holds: bool, expected: str, found: object) -> None:
+    """Raise a ValueError with what was expected and what was found, unless a condition holds."""
+    if not holds:
+        raise ValueError(f"{expected} expected, found {found}")
 
 
 def verify(made: Any) -> None:

@@ -6,8 +6,9 @@ The fault is named, the robot stops on an old map, invents no ground, and goes o
 import numpy as np
 import pytest
 
-from sextant.shared.scenario.scenario import Box, Fault, Goal, Plane, Scenario, Variation
+from sextant.shared.scenario.scenario import Fault, Goal, Scenario, Variation
 from sextant.shared.scenario.scenario import Walk as Options
+from sextant.shared.scenario.terrain import Box, Plane
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode
 from tests.support.walks import Walk, flat, walk

@@ -11,7 +11,9 @@ import pytest
 
 from sextant.services.planner.gap_crossing.strip_survey import STRIP, TURNING_WIDTH
 from sextant.shared.geometry import yaw_of
-from sextant.shared.scenario.scenario import Box, Course, Gap, Level, Pillars, Plane, Scenario, load_scenario
+from sextant.shared.scenario.course import Course, Gap, Level
+from sextant.shared.scenario.scenario import Scenario, load_scenario
+from sextant.shared.scenario.terrain import Box, Pillars, Plane
 from sextant.shared.wire import topics
 from tests.support.walks import walk
 

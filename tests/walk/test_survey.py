@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.peers.foothold_model import LENGTH, ORIGIN, WIDTH, Asker
 from sextant.services.simulator.physics.terrain import build_terrain
-from sextant.shared.scenario.scenario import Box
+from sextant.shared.scenario.terrain import Box
 from sextant.shared.wire import codec, topics
 from tests.support.walks import flat, walk
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sextant.shared.geometry import Array
-from sextant.shared.scenario.scenario import Patches
+from sextant.shared.scenario.terrain import Patches
 
 
 @dataclass(frozen=True, slots=True)

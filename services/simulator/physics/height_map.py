@@ -8,7 +8,7 @@ import numpy as np
 from sextant.services.simulator.physics.solids import HeightField
 from sextant.shared.files import array_file, picture_file
 from sextant.shared.geometry import Array
-from sextant.shared.scenario.scenario import HeightMap
+from sextant.shared.scenario.terrain import HeightMap
 
 if TYPE_CHECKING:
     from sextant.shared.recording.grid_map import GridMapLayer

@@ -21,33 +21,26 @@ from sextant.services.simulator.physics.solids import Boxes, HeightField
 from sextant.services.simulator.physics.tipping import NONE_TIPPING, Tipping
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, rotation_from_rpy, rotation_z
+from sextant.shared.scenario.counts import MAX_BLOCKS
+from sextant.shared.scenario.course import Blocks, Course, Flight, Gap, Level, Ramp, Stones, Stretch
 from sextant.shared.scenario.relief import Relief
-from sextant.shared.scenario.scenario import (
-    MAX_BLOCKS,
-    Blocks,
+from sextant.shared.scenario.scenario import Scenario
+from sextant.shared.scenario.terrain import (
     Box,
     Color,
-    Course,
-    Flight,
-    Gap,
     HeightMap,
     Hole,
-    Level,
     Patches,
     PillarField,
     Pillars,
     Plane,
     Puddle,
     Puddles,
-    Ramp,
     Rubble,
-    Scenario,
     Slope,
     Stairs,
-    Stones,
-    Stretch,
 )
-from sextant.shared.scenario.scenario import Terrain as Primitive
+from sextant.shared.scenario.terrain import Terrain as Primitive
 
 DEPTH = 0.5  # [m] extent of rubble and height fields below the ground
 _BATCH = 256  # number of rubble candidates per draw

@@ -17,7 +17,8 @@ from docs.reference.schema_tables import tables_of
 from sextant.evaluation.report import Report
 from sextant.shared.field_comments import comments_of, parse
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.scenario.scenario import Course, Scenario
+from sextant.shared.scenario.course import Course
+from sextant.shared.scenario.scenario import Scenario
 
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -13,7 +13,8 @@ from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
-from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import (
     ActuatorState,

@@ -13,7 +13,8 @@ from sextant.shared.files.config import ConfigError
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.service import AnyTopic, Inbox
-from sextant.shared.scenario.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
+from sextant.shared.scenario.scenario import CameraOptions, Fault, Goal, Scenario, Start, Variation
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.servo.servo_model import Register

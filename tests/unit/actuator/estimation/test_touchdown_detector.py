@@ -19,7 +19,8 @@ from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_inverse, link_torques
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.servo import dynamixel as dxl
 from tests.support.families import robot_with
 

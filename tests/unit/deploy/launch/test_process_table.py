@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from sextant.deploy.launch import process_table
 from sextant.deploy.launch.process_table import Choices, assignment, choices, commands, rows
 from sextant.shared.runtime import process
-from sextant.shared.scenario.scenario import Goal, MapOptions, Plane, Scenario, Variation, Walk
+from sextant.shared.scenario.scenario import Goal, MapOptions, Scenario, Variation, Walk
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire.transport import Endpoints
 
 ENDPOINTS = Endpoints(("tcp/127.0.0.1:7447",), namespace="test")

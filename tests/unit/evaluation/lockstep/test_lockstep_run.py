@@ -20,7 +20,8 @@ from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.lockstep import HandOver
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.scenario.scenario import Fault, Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Fault, Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire import topics
 
 ROOT = Path(__file__).parents[4]

@@ -25,7 +25,8 @@ from sextant.evaluation.lockstep.pose_error import (
 from sextant.shared.geometry import apply, exp_so3, from_xyz_rpy, inverse, log_so3
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
-from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, Message, Scan
 from sextant.shared.wire.transport import Endpoints

@@ -19,7 +19,8 @@ from sextant.evaluation.metrics.walk_metrics import (
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Box, Goal, Hole, Plane, Scenario, Slope
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Hole, Plane, Slope
 
 
 def walked_into(height_at, feet, bodies, radius, size):

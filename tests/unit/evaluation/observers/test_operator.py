@@ -7,7 +7,8 @@ from sextant.evaluation.observers.operator import Operator
 from sextant.shared.geometry import from_xyz_rpy, rotation_z, yaw_of
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
-from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
 from sextant.shared.wire.messages import Goal as GoalMessage

@@ -12,7 +12,8 @@ from sextant.evaluation.report import FootholdEdge, Passage, Section
 from sextant.evaluation.scoring.passage_metrics import feet_off, steps_of, tipped
 from sextant.evaluation.trace.course import Course
 from sextant.shared.geometry import from_xyz_rpy
-from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Pillars, Plane
 
 PLATFORM = Box((0.0, 0.0), (1.0, 1.0), 0.0)
 GAP = Scenario("gap", (Plane(height=-0.4), PLATFORM, Pillars(((0.7, 0.1), (0.9, -0.1)), 0.10, 0.02)), Goal(1.0))

@@ -7,7 +7,8 @@ import pytest
 from sextant.evaluation import report as reports
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
-from sextant.shared.scenario.scenario import Box, Goal, Plane, Scenario, Stairs
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Plane, Stairs
 from sextant.shared.wire.messages import TerrainMap
 
 STEPS = Scenario(

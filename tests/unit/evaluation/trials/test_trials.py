@@ -12,7 +12,8 @@ from sextant.evaluation.provenance import Made
 from sextant.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread
 from sextant.evaluation.trials import environment, trials
 from sextant.shared.files.config import ConfigError
-from sextant.shared.scenario.scenario import Goal, HeightMap, Plane, Rubble, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import HeightMap, Plane, Rubble
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
 

@@ -27,8 +27,9 @@ from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Scenario
-from sextant.shared.scenario.scenario import Terrain as Part
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Pillars, Plane
+from sextant.shared.scenario.terrain import Terrain as Part
 
 PROFILE = load_profile("phantomx_mk2")
 CAMERA = PROFILE.camera

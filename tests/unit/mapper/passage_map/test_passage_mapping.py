@@ -19,7 +19,8 @@ from sextant.services.simulator.sensors.depth_camera import DepthCamera
 from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Pillars, Plane
 
 PROFILE = load_profile("phantomx_mk2")
 CAMERA = PROFILE.camera

@@ -13,7 +13,8 @@ from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.scenario.mover import BoxMover, LegsMover, Mover
-from sextant.shared.scenario.scenario import Box, Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Plane
 from sextant.shared.wire.messages import DepthImage, Tick
 
 STEP = Scenario("step", (Plane(), Box((1.0, 0.0), (0.4, 0.4), 0.1)), Goal(1.0))

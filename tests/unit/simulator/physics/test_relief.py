@@ -9,7 +9,8 @@ from sextant.services.simulator.physics.relief import build_relief, fractal
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.relief import Relief
-from sextant.shared.scenario.scenario import Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 
 WAVES = Relief((-1.0, 3.0), (-1.0, 1.0), "washboard", amplitude=0.03, wavelength=0.4, begin=0.5, blend=0.2, base=0.1)
 

@@ -15,32 +15,23 @@ from sextant.shared.files import picture_file
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import (
-    Blocks,
+from sextant.shared.scenario.course import Blocks, Course, Flight, Gap, Level, Ramp, Stones
+from sextant.shared.scenario.scenario import Goal, Scenario, load_scenario, scenario_names
+from sextant.shared.scenario.terrain import (
     Box,
-    Course,
-    Flight,
-    Gap,
-    Goal,
     HeightMap,
     Hole,
-    Level,
     Patches,
     PillarField,
     Pillars,
     Plane,
     Puddle,
     Puddles,
-    Ramp,
     Rubble,
-    Scenario,
     Slope,
     Stairs,
-    Stones,
-    load_scenario,
-    scenario_names,
 )
-from sextant.shared.scenario.scenario import Terrain as Primitive
+from sextant.shared.scenario.terrain import Terrain as Primitive
 from tests.support import worn_stairs
 
 

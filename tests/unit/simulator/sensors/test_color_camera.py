@@ -12,7 +12,8 @@ from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.color import ycocg_from_rgb
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Box, Goal, Plane, Puddle, Scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Plane, Puddle
 
 PROFILE = load_profile("phantomx_mk2_rgbd")
 WET = Scenario(

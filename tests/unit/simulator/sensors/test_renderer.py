@@ -11,8 +11,9 @@ from sextant.services.simulator.sensors.renderer import BOX, FIELD, PLANE, ROBOT
 from sextant.shared.geometry import Array, from_xyz_rpy, transform
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
-from sextant.shared.scenario.scenario import Terrain as Primitive
+from sextant.shared.scenario.scenario import Goal, Scenario
+from sextant.shared.scenario.terrain import Box, Pillars, Plane, Rubble, Slope, Stairs
+from sextant.shared.scenario.terrain import Terrain as Primitive
 
 PROFILE = load_profile("phantomx_mk2")
 XTION = PROFILE.camera.intrinsics

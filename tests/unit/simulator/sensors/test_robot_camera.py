@@ -11,7 +11,8 @@ from sextant.shared.robot.kinematics import body_inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Stages
 from sextant.shared.scenario.mover import BoxMover
-from sextant.shared.scenario.scenario import Fault, Goal, Plane, Scenario
+from sextant.shared.scenario.scenario import Fault, Goal, Scenario
+from sextant.shared.scenario.terrain import Plane
 
 
 def camera(*faults: Fault, robot: str = "phantomx_mk2", frames_per_picture: int = 1) -> RobotCamera:
