@@ -55,7 +55,7 @@ class Part:
 
     @property
     def told(self) -> str:
-        """The first command as a user types it, in Markdown, and how many there are beside it."""
+        """The first command as a user types it, in Markdown, and how many more there are."""
         first = " ".join(self.commands[0].replace(_WORKERS, "").split())
         return f"`{first}`" + (f" and {len(self.commands) - 1} more" if self.commands[1:] else "")
 
