@@ -14,12 +14,12 @@ LEFT_OUT = (".*", "__pycache__", "*.egg-info", "build", "dist", "runs", "_build"
 WARM_UP = """
 from sextant.deploy.launch import warm_up
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.runtime import warm_up_mark
+from sextant.shared.runtime import compile_progress, warm_up_mark
 from sextant.shared.scenario.scenario import load_scenario
 
 print(warm_up_mark.__file__, warm_up_mark.is_complete(whole=True))
 warm_up.compile_functions(load_profile(load_scenario("puddle").robot), "puddle")
-functions = warm_up._compiled_functions()
+functions = compile_progress._compiled_functions()
 print(any(one.stats.cache_hits for one in functions), any(one.stats.cache_misses for one in functions))
 """
 

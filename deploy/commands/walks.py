@@ -238,7 +238,8 @@ def _run_live(
     with Interrupts() as interrupts:
         if parent:
             end_with(parent)
-        problem = "" if attach else live_run.warm_up(progress, interrupts, walk.scenario.goal.passage)
+        # The search of gap crossings takes long to compile; the rest compiles while the services start.
+        problem = live_run.warm_up(progress, interrupts) if walk.scenario.goal.passage and not attach else ""
         if problem:
             raise CommandError(f"{problem}; `sextant doctor` checks what the services need")
         if interrupts.asked():

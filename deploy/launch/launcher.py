@@ -91,7 +91,7 @@ class Launcher:
     def __init__(
         self,
         commands: Sequence[Command],
-        hear: Callable[[str, str], None] = lambda _name, _line: None,
+        hear: Callable[[str, str], object] = lambda _name, _line: None,
         grace_s: float = GRACE_S,
     ):
         """Prepare the launcher; nothing is started yet.

@@ -4,19 +4,15 @@ python -m sextant.deploy.launch.warm_up
 """
 
 import argparse
-import os
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sextant.deploy.terminal.output import say
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.runtime import warm_up_mark
+from sextant.shared.runtime import compile_progress, warm_up_mark
 from sextant.shared.runtime.operating_system import usable_cores
 from sextant.shared.runtime.shutdown import end_with
 from sextant.shared.runtime.workers import share_out
@@ -24,8 +20,6 @@ from sextant.shared.scenario.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # with blocks, with a height field, and in colour
 _SERVICES = ("planner", "mapper", "perception", "simulator")  # from the one that compiles longest
-_REPORT_EVERY_S = 0.5
-COMPILED = "compiled"  # first word of a line of progress; then process, compiled functions, all functions
 
 
 def main() -> int:
@@ -71,47 +65,9 @@ def _compile(service: str, profile: RobotProfile, scenario: str) -> None:
 def _compile_service(service: str, scenarios: tuple[str, ...], progress: bool) -> None:
     """Compile a service for some scenarios."""
     import_module(f"sextant.services.{service}.warmup")  # now all functions are known
-    with _reported() if progress else nullcontext():
+    with compile_progress.reported() if progress else nullcontext():
         for scenario in scenarios:
             _compile(service, load_profile(load_scenario(scenario).robot), scenario)
-
-
-@contextmanager
-def _reported() -> Iterator[None]:
-    """Print the number of compiled functions while the block runs, whenever it changes."""
-    ended = threading.Event()
-
-    def report() -> None:
-        told = ""
-        while not ended.wait(_REPORT_EVERY_S):
-            known = _compiled_functions()
-            line = f"{COMPILED} {os.getpid()} {len(_ready(known))} {len(known)}"
-            if line != told:
-                told = line
-                say(line)
-
-    reporter = threading.Thread(target=report, name="report", daemon=True)
-    reporter.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        reporter.join()
-
-
-def _ready(functions: list[Any]) -> list[Any]:
-    """Return the functions that are compiled, also those that a loaded function of their file contains."""
-    loaded = {one.py_func.__module__ for one in functions if one.stats.cache_hits}
-    return [one for one in functions if one.overloads or one.py_func.__module__ in loaded]
-
-
-def _compiled_functions() -> list[Any]:
-    """Return the functions that Numba compiles, except those that it inlines."""
-    from numba.core.dispatcher import Dispatcher
-
-    modules = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("sextant.")]
-    found = {id(one): one for names in modules for one in list(names.values()) if isinstance(one, Dispatcher)}
-    return [one for one in found.values() if one.targetoptions.get("inline") != "always"]
 
 
 if __name__ == "__main__":

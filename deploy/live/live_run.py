@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Self
 
 from sextant.deploy.launch import process_table
-from sextant.deploy.launch import warm_up as compilation
 from sextant.deploy.launch.launcher import Launcher, host_router
+from sextant.deploy.launch.process_age import process_age_s
 from sextant.deploy.launch.process_table import ENVIRONMENT, Command, Process
 from sextant.deploy.live.page import Page
 from sextant.deploy.terminal.interrupts import Interrupts
@@ -29,6 +29,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import warm_up_mark
 from sextant.shared.runtime.clock import going_by, now_ns
+from sextant.shared.runtime.compile_progress import CompiledFunctions
 from sextant.shared.runtime.service import Service
 from sextant.shared.runtime.simulated_time import SERVO_BUS, SimulatedTime
 from sextant.shared.runtime.zenoh_runner import run_live
@@ -40,6 +41,8 @@ _LOG = "services.log"
 _LOOK_S = 0.1  # [s] interval of polling the run
 _SHOW_S = 0.25  # [s] interval of showing progress
 _START_S = 180.0  # [s] within which the robot must come up
+_COMPILING = ("perception", "mapper", "planner")  # services that compile at the first start before they are ready
+_STAND_UP_NS = 3_000_000_000  # [ns] that the robot takes to stand up, meanwhile
 _SPEED_OVER_NS = 3_000_000_000  # the current speed of simulated time is the mean over this window
 _NAMED = 2  # most services that the slow-down message names
 _REAL_TIME = 0.95  # [1] share of real time from which simulated time counts as real time
@@ -104,7 +107,7 @@ def run_live_scenario(
         if page and not attach:
             chosen = replace(chosen, console_port=page.port)
             rows = process_table.rearranged(rows, ["console"], [], "all")
-        simulated_time = None if attach else stack.enter_context(_shared_time(rows if slow_down else ()))
+        simulated_time = None if attach else stack.enter_context(_shared_time(rows, slow_down))
         time_file = simulated_time.path if simulated_time else None
         # 2. Record, command, score and monitor from this process, each over its own link. They connect before the services
         # start, so that the recording has every message.
@@ -113,7 +116,13 @@ def run_live_scenario(
         recording = stack.enter_context(_recording(sink, endpoints))
         attendants = stack.enter_context(ObserverThread(attendance.services(), endpoints))
         process_table.new_robot(chosen)
-        launcher = Launcher(process_table.commands(rows, chosen, endpoints, simulated_time=time_file), hear=log.hear)
+        compiled = CompiledFunctions()
+
+        def hear(name: str, line: str) -> None:
+            if not compiled.hear(name, line):
+                log.hear(name, line)
+
+        launcher = Launcher(process_table.commands(rows, chosen, endpoints, simulated_time=time_file), hear=hear)
         stack.callback(lambda: launcher.stop(interrupts.insisted))
         launcher.__enter__()
         started(launcher)
@@ -121,7 +130,7 @@ def run_live_scenario(
         speed = Speed()
         faults = Faults(scenario.faults_at(seed))
         show = page.show if page else lambda: None
-        ended_by = _watch(attendance, attendants, launcher, faults, progress, interrupts, speed, show)
+        ended_by = _watch(attendance, attendants, launcher, faults, progress, interrupts, speed, show, compiled)
         slowed_down = speed.words(simulated_time.waited_s() if simulated_time else {})
         if not slow_down and attendance.monitor.lateness.words:
             slowed_down = ""  # the late inputs say more
@@ -163,24 +172,6 @@ def warm_up(progress: Progress, interrupts: Interrupts, whole: bool = True) -> s
                 progress.compiled(*told)
         launcher.stop(interrupts.insisted)
     return ""
-
-
-class CompiledFunctions:
-    """Number of functions that the processes of the warm-up have compiled, from their lines of progress."""
-
-    def __init__(self) -> None:
-        self._of_process: dict[str, tuple[int, int]] = {}
-
-    def hear(self, _name: str, line: str) -> None:
-        """Read a line; ignore one that is not about progress."""
-        match line.split():
-            case [compilation.COMPILED, process, done, total] if done.isdecimal() and total.isdecimal():
-                self._of_process[process] = int(done), int(total)
-
-    def count(self) -> tuple[int, int]:
-        """Return the number of compiled functions, and of all."""
-        counts = list(self._of_process.values())
-        return sum(done for done, _ in counts), sum(total for _, total in counts)
 
 
 class ObserverThread:
@@ -269,9 +260,11 @@ def _watch(
     interrupts: Interrupts,
     speed: "Speed",
     show_page: Callable[[], None],
+    compiled: CompiledFunctions,
 ) -> str:
     """Watch a run; return what ended it from outside, or an empty string."""
     began = shown = time.monotonic()
+    walks, count = False, (0, 0)
     while not attendance.over():
         for ended in launcher.wait(_LOOK_S):
             progress.say(str(ended))
@@ -280,8 +273,11 @@ def _watch(
         attendants.check()
         show_page()
         view = attendance.monitor.view
-        if view.up:
+        if view.walks:
             speed.update()
+        if view.walks and not walks:
+            walks = True
+            progress.say(f"first step {process_age_s():.0f} s after the start")
         if interrupts.asked():
             return "stopped by the operator"
         if not view.up and time.monotonic() - began > _START_S:
@@ -290,7 +286,11 @@ def _watch(
             progress.say(done)
         if time.monotonic() - shown >= _SHOW_S:
             shown = time.monotonic()
-            progress.update(replace(view, of_real_time=speed.newest()))
+            if not view.up and compiled.count() != count:
+                count = compiled.count()
+                progress.compiled(*count)
+            elif view.up or not count[1]:
+                progress.update(replace(view, of_real_time=speed.newest()))
     return ""
 
 
@@ -345,15 +345,18 @@ def _rate(a: tuple[int, int], b: tuple[int, int]) -> float:
 
 
 @contextlib.contextmanager
-def _shared_time(rows: Sequence[Process]) -> Iterator[SimulatedTime]:
+def _shared_time(rows: Sequence[Process], slow_down: bool) -> Iterator[SimulatedTime]:
     """Create a simulated time that this process and its children share.
 
-    It waits for late answers of the emulated servos, and for services of the rows whose inputs or cycles are late.
+    It waits for late answers of the emulated servos, and is slow until all services are ready. With `slow_down` it also waits
+    for services of the rows whose inputs or cycles are late, and the robot stands up while other services compile.
     """
     with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
         path = Path(folder) / "simulated_time"
-        names = [SERVO_BUS, *(p.name for p in rows if p.side not in ("simulation", "page"))]
-        simulated_time = SimulatedTime.create(path, names)
+        names = [SERVO_BUS, *(p.name for p in rows if slow_down and p.side not in ("simulation", "page"))]
+        starting = [p.name for p in rows if p.name in _COMPILING]
+        before_ready_ns = _STAND_UP_NS if slow_down else 0
+        simulated_time = SimulatedTime.create(path, names, starting=starting, before_ready_ns=before_ready_ns)
         with going_by(simulated_time):
             yield simulated_time
 

@@ -27,6 +27,7 @@ class View:
     walked: float = 0.0  # [m] along the starting direction
     to_goal: float | None = 0.0  # [m]; None without a goal
     up: bool = False  # whether the actuator has sent a message
+    walks: bool = False  # whether the robot has begun its first step
     of_real_time: float = 1.0  # [1] speed of simulated time
     doing: Mapping[str, str] = field(default_factory=dict)  # service -> its status as text
     warnings: tuple[str, ...] = ()  # as text
@@ -131,6 +132,7 @@ class Monitor:
             walked=walked,
             to_goal=None if self._goal_distance is None else max(0.0, self._goal_distance - walked),
             up=state is not None,
+            walks=self.view.walks or (state is not None and state.mode is Mode.WALK),
             doing={name: _printable(health.status) for name, (health, _) in self._services()},
             warnings=tuple(map(_printable, warnings)),
         )

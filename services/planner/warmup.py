@@ -3,7 +3,7 @@
 The search of gap crossings takes long to compile. The first time, the planner already works meanwhile: it waits with a crossing
 (`SearchCompilation`).
 
-python -m sextant.services.planner.warmup     compiles the functions with low priority
+python -m sextant.services.planner.warmup     compiles the functions while the cores have nothing else to do
 """
 
 import logging
@@ -25,6 +25,7 @@ from sextant.services.planner.roadmap.roadmap import Roadmap, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.runtime.process_priority import go_last
 from sextant.shared.runtime.shutdown import end_with, leave
 from sextant.shared.wire import codec
 from sextant.shared.wire.messages import PassageMap
@@ -32,8 +33,8 @@ from sextant.shared.wire.messages import PassageMap
 _CELL, _CELLS = 0.01, (150, 120)  # [m], and number of cells along and across
 _START, _GOAL = 0.44, 0.80  # [m] start and goal of the body along the strip
 _EXPANSIONS = 200
+_LATE_S = 30.0  # [s] from the start of the planner to that of the process that compiles
 _ANY_ROBOT = "phantomx_mk2"  # the compiled code is the same for all
-_LOWEST = 19  # priority of the compiling process, by `nice`
 
 
 def compile_functions(profile: RobotProfile, settings: Settings) -> None:
@@ -61,14 +62,16 @@ def is_compiled() -> bool:
 class SearchCompilation:
     """Makes the search ready: loads it, or lets another process compile it first while the planner works.
 
-    A thread that compiles would delay the planner's cycles.
+    A thread that compiles would delay the planner's cycles. Unless a crossing is due, the other process starts late: the start
+    of the robot and its first steps need the cores.
     """
 
     def __init__(self) -> None:
-        self._ready = threading.Event()
+        self._ready, self._is_due = threading.Event(), threading.Event()
 
     def is_ready(self) -> bool:
-        """Return whether a search compiles nothing."""
+        """Return whether a search compiles nothing; the caller has a crossing to search."""
+        self._is_due.set()
         return self._ready.is_set()
 
     def start(self, profile: RobotProfile, settings: Settings) -> None:
@@ -85,6 +88,7 @@ class SearchCompilation:
         self._ready.set()
 
     def _compile(self, profile: RobotProfile, settings: Settings) -> None:
+        self._is_due.wait(_LATE_S)
         status = subprocess.run([sys.executable, "-m", __name__], check=False).returncode
         if status == -signal.SIGTERM:
             return  # the robot shuts down
@@ -97,5 +101,5 @@ class SearchCompilation:
 
 if __name__ == "__main__":
     end_with(os.getppid())
-    os.nice(_LOWEST)
+    go_last()
     compile_functions(load_profile(_ANY_ROBOT), Settings())

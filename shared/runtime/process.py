@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import dataclasses
 import faulthandler
+import gc
 import json
 import logging
 import os
@@ -23,11 +24,10 @@ from sextant.shared.files import config
 from sextant.shared.plugins.loading import PluginError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.runtime import clock
+from sextant.shared.runtime import clock, compile_progress, simulated_time
 from sextant.shared.runtime.process_priority import go_first, keep_memory, switch_often
 from sextant.shared.runtime.service import Service
 from sextant.shared.runtime.shutdown import ShutdownRequested, end_with, leave, leave_at_errors
-from sextant.shared.runtime.simulated_time import SimulatedTime
 from sextant.shared.runtime.watchdog import Watchdog
 from sextant.shared.runtime.zenoh_runner import run_live
 from sextant.shared.wire import codec, topics
@@ -90,11 +90,12 @@ def run(
             settings = load_settings(schema, arguments.config, arguments.set)
             keys = Keys.load(Path(arguments.keys)) if arguments.keys else None
             if compile_functions is not None:
-                _patiently(lambda: compile_functions(profile, settings))
+                with compile_progress.reported(_PATIENCE_S) if arguments.simulated_time else contextlib.nullcontext():
+                    _patiently(lambda: compile_functions(profile, settings))
             if arguments.simulated_time:
                 if arguments.elsewhere:
                     raise ValueError("--simulated-time works on one machine only; remove --elsewhere")
-                stack.enter_context(clock.going_by(SimulatedTime(Path(arguments.simulated_time))))
+                stack.enter_context(clock.going_by(simulated_time.SimulatedTime(Path(arguments.simulated_time))))
             told.open()
             endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace, keys)
             watchdog = stack.enter_context(Watchdog(os.environ))
@@ -103,6 +104,7 @@ def run(
             service = make(profile, settings)
             if isinstance(service, contextlib.AbstractContextManager):
                 stack.enter_context(service)  # closes ports and servers on exit
+            simulated_time.ready(name)
         except (ValueError, TransportError, PluginError) as error:
             logging.error("%s", error)
             return 2
@@ -119,13 +121,18 @@ def run(
 
 
 def _patiently(compile_functions: Callable[[], None]) -> None:
-    """Run the warm-up, and log a notice if it has to compile."""
+    """Run the warm-up, and log a notice if it has to compile.
+
+    Python's garbage collector would take a seventh of the time of a compilation.
+    """
     telling = threading.Timer(_PATIENCE_S, logging.info, ["compiling the inner loops takes half a minute, the first time only"])
     telling.daemon = True
     telling.start()
+    gc.disable()
     try:
         compile_functions()
     finally:
+        gc.enable()
         telling.cancel()
 
 

@@ -10,6 +10,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # glibc's mallopt
 _KEPT = 1 << 28  # [bytes]
 _SWITCH_S = 0.0005
 _OPEN_FILES = 16_384
+_LOWEST = 19  # niceness
 _REAL_TIME = 10  # real-time priority, 1 to 99: above normal processes, below the kernel's own threads
 
 
@@ -26,6 +27,14 @@ def go_first() -> str:
     except PermissionError:
         return "real-time priority is refused, so busy processes may delay the cycles; allow it with `ulimit -r` or LimitRTPRIO"
     return ""
+
+
+def go_last() -> None:
+    """Let this process run only on idle cores, where the system has such a priority; else with the lowest one."""
+    if hasattr(os, "SCHED_IDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    else:
+        os.nice(_LOWEST)
 
 
 def switch_often() -> None:

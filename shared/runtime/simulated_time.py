@@ -6,6 +6,9 @@ The simulator grants time in small spans, so time stands still while the simulat
 the age of its inputs or on its cycle sets the time up to which simulated time may run. Time stops there until the service sets
 a later limit. If a service sets none for `_PATIENCE_NS` of real time, it has ended or hangs, and time continues without it.
 
+At the start, time is slow until all services are ready, which may take long if they compile. It does not stop, because the
+watchdog of the actuator would take a cycle that does not end for a hang.
+
 The state is in a file that all processes map. It has two records. The simulator writes the record that is not in use and then
 increments the count. A reader whose count has not changed has read a consistent record. Robots with real servos do not use this
 module.
@@ -22,7 +25,10 @@ from sextant.shared.runtime.clock import in_use
 SPAN_NS = 10_000_000  # [ns] maximum simulated time of one grant; it passes at once after all processes stood still
 SERVO_BUS = "servo bus"  # has a limit while data is in transit in either direction
 REACTION_NS = 8_000_000  # [ns] of simulated time that may pass after it is due; two ticks of the simulator, so that none waits
-_PATIENCE_NS = 1_000_000_000  # [ns] of real time for which simulated time waits at one limit
+_PATIENCE_NS = 1_000_000_000  # [ns] of real time for which simulated time waits at one limit ...
+_START_PATIENCE_NS = 180_000_000_000  # [ns] ... and for which it is slow at the start
+_START_SLOWER = 20  # [1] ratio of real time to simulated time while a service is not ready
+_START = "start of "  # begin of the name of a limit that holds until a service is ready
 _NO_LIMIT = (1 << 63) - 1
 _COUNT, _RECORDS, _RECORD, _SLOTS = 0, 1, 3, 7  # indices: count, first of two records, words per record, first limit
 _NAME_BYTES = 32
@@ -64,7 +70,14 @@ class SimulatedTime:
         self._granted_ns = machine()
 
     @classmethod
-    def create(cls, path: Path, names: Sequence[str], machine: Callable[[], int] = time.monotonic_ns) -> "SimulatedTime":
+    def create(
+        cls,
+        path: Path,
+        names: Sequence[str],
+        machine: Callable[[], int] = time.monotonic_ns,
+        starting: Sequence[str] = (),
+        before_ready_ns: int = 0,
+    ) -> "SimulatedTime":
         """Make the file of a run.
 
         Its time starts at this machine's time, and stands still until the first grant.
@@ -73,15 +86,20 @@ class SimulatedTime:
             path: Path of the file.
             names: Services that may set limits.
             machine: Monotonic clock of this machine [ns].
+            starting: Services that call `ready` once they are.
+            before_ready_ns: [ns] of simulated time that pass at full speed before all of them are ready.
 
         Raises:
             ValueError: There are too many names, or one is too long.
         """
+        names = [*names, *(_START + name for name in starting)]
         encoded = [name.encode() for name in names]
         if len(names) > _MAX_NAMES or any(len(name) > _NAME_BYTES for name in encoded):
             raise ValueError(f"at most {_MAX_NAMES} names of at most {_NAME_BYTES} bytes expected, found {names}")
         now = machine()
         words = [0, *(now, now, now) * 2, *(_NO_LIMIT, 0) * _MAX_NAMES]
+        for k in range(len(names) - len(starting), len(names)):
+            words[_SLOTS + 2 * k] = now + before_ready_ns
         head = struct.pack(f"={_WORDS}q", *words)
         path.write_bytes(
             head + b"".join(name.ljust(_NAME_BYTES, b"\0") for name in encoded).ljust(_NAME_BYTES * _MAX_NAMES, b"\0")
@@ -111,6 +129,9 @@ class SimulatedTime:
         for name, word in self._index.items():
             stated_ns = self._words[word]
             if stated_ns >= limit_ns or self._has_waited(name, stated_ns, machine_ns):
+                continue
+            if name.startswith(_START):
+                limit_ns = min(limit_ns, max(stated_ns, now_ns + (machine_ns - self._granted_ns) // _START_SLOWER))
                 continue
             if stated_ns <= now_ns:
                 self._words[word + 1] += machine_ns - self._granted_ns
@@ -146,12 +167,12 @@ class SimulatedTime:
         return self._words[first], self._words[first + 1], self._words[first + 2]
 
     def _has_waited(self, name: str, stated_ns: int, machine_ns: int) -> bool:
-        """Return whether time has waited at a limit for `_PATIENCE_NS`."""
+        """Return whether time has waited at a limit for as long as it may."""
         met_ns, since_ns = self._bound.get(name, (-1, 0))
         if met_ns != stated_ns:
             self._bound[name] = stated_ns, machine_ns
             return False
-        return machine_ns - since_ns >= _PATIENCE_NS
+        return machine_ns - since_ns >= (_START_PATIENCE_NS if name.startswith(_START) else _PATIENCE_NS)
 
 
 def hold(name: str, limit_ns: int | None) -> None:
@@ -162,6 +183,11 @@ def hold(name: str, limit_ns: int | None) -> None:
     time_in_use = in_use()
     if isinstance(time_in_use, SimulatedTime):
         time_in_use.hold(name, limit_ns)
+
+
+def ready(name: str) -> None:
+    """Tell simulated time, if this process uses it, that a service is ready."""
+    hold(_START + name, None)
 
 
 def limit_of(name: str) -> int:

@@ -352,7 +352,7 @@ def test_failed_warm_up_prevents_walk(
     from sextant.deploy.live import live_run
 
     monkeypatch.setattr(live_run, "warm_up", lambda *_: "warm-up ended (exit status 1); last output: no mujoco")
-    assert cli.main(["run", "flat", "--out", str(tmp_path)]) == 1
+    assert cli.main(["run", "passage1", "--out", str(tmp_path)]) == 1
     assert "no mujoco" in (printed := capsys.readouterr().err)
     assert "sextant doctor" in printed
 

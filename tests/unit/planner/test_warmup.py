@@ -98,6 +98,7 @@ def test_planner_ends_if_search_cannot_be_compiled(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: SimpleNamespace(returncode=-9))
     monkeypatch.setattr(warmup, "leave", leave)
+    monkeypatch.setattr(warmup, "_LATE_S", 0.0)
     compilation = SearchCompilation()
     with pytest.raises(SystemExit):
         compilation._compile(PROFILE, Settings())

@@ -2,7 +2,6 @@
 
 import os
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,9 +10,7 @@ from typing import Any
 import pytest
 
 from sextant.deploy.launch import warm_up
-from sextant.deploy.live.live_run import CompiledFunctions
 from sextant.services.mapper.elevation import fusion
-from sextant.services.planner.roadmap import roadmap_search
 from sextant.shared.runtime import warm_up_mark
 
 
@@ -59,42 +56,3 @@ def test_numba_cache_files_are_detected(tmp_path: Path, monkeypatch: pytest.Monk
     assert not warm_up.has_compiled()
     (tmp_path / "fusion._measure-240.py311.nbi").touch()
     assert warm_up.has_compiled()
-
-
-def test_compiled_functions_are_counted_over_processes() -> None:
-    found = CompiledFunctions()
-    for line in (
-        f"{warm_up.COMPILED} 11 3 30",
-        f"{warm_up.COMPILED} 12 20 24",
-        "a warning",
-        f"{warm_up.COMPILED} 11 x 30",
-        f"{warm_up.COMPILED} 11 11 30",
-    ):
-        found.hear("warm-up", line)
-    assert found.count() == (31, 54)
-
-
-def test_progress_of_compilation_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    printed = threading.Event()
-    no = {"py_func": SimpleNamespace(__module__="a"), "stats": SimpleNamespace(cache_hits={})}
-    counts = iter([[SimpleNamespace(overloads=(), **no), SimpleNamespace(overloads=("f",), **no)]])
-    monkeypatch.setattr(warm_up, "_REPORT_EVERY_S", 0.001)
-    monkeypatch.setattr(warm_up, "_compiled_functions", lambda: next(counts, None) or printed.set() or [])
-    with warm_up._reported():
-        assert printed.wait(60.0)
-    assert capsys.readouterr().out.splitlines()[0] == f"{warm_up.COMPILED} {os.getpid()} 1 2"
-
-
-def test_functions_of_a_file_are_ready_once_one_is_loaded() -> None:
-    def function(file: str, hits: int, overloads: int) -> Any:
-        stats = SimpleNamespace(cache_hits={"f": hits} if hits else {})
-        return SimpleNamespace(py_func=SimpleNamespace(__module__=file), stats=stats, overloads="f" * overloads)
-
-    known = [function("a", 1, 1), function("a", 0, 0), function("b", 0, 1), function("b", 0, 0)]
-    assert warm_up._ready(known) == known[:3]
-
-
-def test_inlined_functions_are_not_counted() -> None:
-    assert roadmap_search.grow
-    names = {one.py_func.__name__ for one in warm_up._compiled_functions()}
-    assert "grow" in names

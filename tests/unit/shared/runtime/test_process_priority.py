@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS
-from sextant.shared.runtime.process_priority import allow_many_files, go_first, spare_collector, switch_often
+from sextant.shared.runtime.process_priority import allow_many_files, go_first, go_last, spare_collector, switch_often
 
 
 @pytest.fixture(autouse=True)
@@ -50,6 +50,17 @@ def test_real_time_priority_is_set_or_refused_with_advice(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     assert "ulimit -r" in go_first()
+
+
+def test_background_work_runs_only_on_idle_cores_or_with_low_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda _pid, policy, _way: asked.append(policy))
+    monkeypatch.setattr(os, "nice", asked.append)
+    go_last()
+    assert asked == [os.SCHED_IDLE]
+    monkeypatch.delattr(os, "SCHED_IDLE")
+    go_last()
+    assert asked[1:] == [19]
 
 
 def test_thread_switch_interval_suits_servo_timeout() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sextant.shared.runtime import clock
-from sextant.shared.runtime.simulated_time import SPAN_NS, SimulatedTime, hold
+from sextant.shared.runtime.simulated_time import SPAN_NS, SimulatedTime, hold, ready
 
 MS = 1_000_000
 SEC = 1000 * MS
@@ -80,6 +80,32 @@ def test_time_continues_without_ended_or_hung_service(time_: SimulatedTime, mach
     time_.hold("mapper", limit + 1 * MS)  # it is back and late: time waits for it again
     assert let_run(time_, machine, 500 * MS) <= limit + 4 * SEC
     assert let_run(time_, machine, 5 * SEC) > limit + 7 * SEC
+
+
+def test_time_is_slow_at_start_until_services_are_ready(tmp_path: Path, machine: Machine) -> None:
+    time_ = SimulatedTime.create(
+        tmp_path / "start", ["mapper"], machine, starting=["mapper", "planner"], before_ready_ns=2 * SEC
+    )
+    begun = time_()
+    time_.grant()
+    assert let_run(time_, machine, 2 * SEC) == begun + 2 * SEC, "the robot stands up meanwhile"
+    assert let_run(time_, machine, 20 * SEC) == pytest.approx(begun + 3 * SEC, abs=10 * MS)
+    before = time_()
+    assert let_run(time_, machine, SEC) > before, "it never stops for as long as a watchdog waits"
+    with clock.going_by(time_):
+        ready("mapper")
+        assert let_run(time_, machine, SEC) == pytest.approx(before + 100 * MS, abs=10 * MS)
+        ready("planner")
+    before = time_()
+    assert let_run(time_, machine, SEC) == pytest.approx(before + SEC, abs=10 * MS)
+    assert not any(time_.waited_s().values()), "a start does not count as a slow computer"
+
+
+def test_time_runs_without_service_that_never_is_ready(tmp_path: Path, machine: Machine) -> None:
+    time_ = SimulatedTime.create(tmp_path / "start", [], machine, starting=["mapper"])
+    begun = time_()
+    assert let_run(time_, machine, 170 * SEC) < begun + 10 * SEC
+    assert let_run(time_, machine, 20 * SEC) > begun + 15 * SEC
 
 
 def test_processes_share_time_through_file(time_: SimulatedTime, machine: Machine, tmp_path: Path) -> None:
