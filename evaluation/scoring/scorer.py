@@ -34,11 +34,12 @@ from sextant.shared.runtime.service import Inbox, Stages
 from sextant.shared.scenario.mismatch import Mismatch
 from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import GroundTruth, Message, TerrainMap
+from sextant.shared.wire.messages import GroundTruth, Message, Mode, TerrainMap
 
 FALL_TILT_DEG = 35.0  # [deg]
 _FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
 _CLEARANCE = 0.005  # [m] a body underside closer to the ground than this counts as a fall
+_ON_GROUND = "the body touched the ground"
 _REST_NS = 500_000_000  # [ns] the body is at rest after it has not moved for this time
 _WAY_S = 0.5  # [s] between places whose distances are the length of a way
 _REST_MOTION = 0.003  # [m] motion below which the body counts as not moving
@@ -93,7 +94,7 @@ class Scorer:
         self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
         self._goal_ns: int | None = None
         self._stood = False  # a robot that starts on its belly has not fallen
-        self._fall = ""
+        self._fall = self._lain = ""
         self._shutdown_ns: int | None = None
         self._shutdown = np.zeros((6, 3), dtype=bool)  # servos that have shut down at any time, even if they work again
         self._end = ""
@@ -184,8 +185,10 @@ class Scorer:
         x, y, z = (sum(a * b for a, b in zip(row, position, strict=False)) + row[3] for row in self._rows)
         self._x = x
         seconds = (now - self._heard.begin_ns) * 1e-9
-        how = self._falling(truth, z)
-        if how:
+        how, order = self._falling(truth, z), self._heard.states[-1] if self._heard.states else None
+        if how == _ON_GROUND and order is not None and order.mode is Mode.SIT:
+            self._lain = f"lay down at {x:.2f} m after {seconds:.1f} s: {order.reason}"
+        elif how:
             self._fall = f"fell at {x:.2f} m after {seconds:.1f} s: {how}"
         self._shutdown |= truth.shutdown
         if self._shutdown_ns is None and truth.shutdown.any():
@@ -205,7 +208,7 @@ class Scorer:
         cos_tilt = max(-1.0, float(T[2, 2]))
         if cos_tilt < _FALL_COSINE:
             return f"tilted by {np.degrees(np.arccos(cos_tilt)):.0f} deg"
-        return "the body touched the ground" if on_ground and self._stood else ""
+        return _ON_GROUND if on_ground and self._stood else ""
 
     def _ending(self, now: int, x: float, y: float) -> str:
         """Return why the run ends at `now` [ns], or an empty string.
@@ -213,8 +216,8 @@ class Scorer:
         The body is at (x, y) [m] {start}.
         """
         goal, at_rest = self._scenario.goal, self._rests(now, x, y)
-        if self._fall:
-            return self._fall
+        if self._fall or self._lain:
+            return self._fall or self._lain
         if self._shutdown_ns is not None and now - self._shutdown_ns >= _LOST_NS:
             return self._shutdown_words()
         if not self._waypoints and x >= goal.distance and at_rest:

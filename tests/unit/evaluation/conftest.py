@@ -57,6 +57,7 @@ class Story:
     map_bias: float = 0.0  # [m]
     topple_s: float = np.inf  # [s] the robot begins to fall over
     sink_s: float = np.inf  # [s] the robot sinks to the ground
+    sit: str = ""  # reason for which it sits down instead of falling
     shutdown_s: float = np.inf  # [s] a servo shuts down
     flicker: bool = False  # contact drops out for one sample in ten
     tail_s: float = 1.0  # [s] after the last step
@@ -162,11 +163,13 @@ class Story:
         t = ms * 1e-3
         step, phase = self.walked(t)
         walking = step >= 1 and phase < 1.0
+        sits = bool(self.sit) and t >= self.sink_s
         ref = from_xyz_rpy((self.body_x(t), 0.0, self.scenario.walk.body_height), np.zeros(3))
         return actuator_state(
             self.profile,
             stamp_ns=ms * _MS,
-            mode=Mode.WALK if walking else Mode.HOLD,
+            mode=Mode.SIT if sits else Mode.WALK if walking else Mode.HOLD,
+            reason=self.sit if sits else "",
             step=step,
             phase=phase,
             swing=self.swing(step) if walking else _NONE,

@@ -129,6 +129,11 @@ def test_topple_and_sinking_are_falls_even_after_goal(story):
     sunk = story(sink_s=4.0).judged()
     assert sunk.result().falls == 1
     assert "touched the ground" in sunk.result().reason
+    # A robot that lies down has not fallen; the reason is its own.
+    lying = story(sink_s=4.0, sit="the battery is low: 9.8 V").judged().result()
+    assert (lying.falls, lying.success) == (0, False)
+    assert "lay down at " in lying.reason
+    assert lying.reason.endswith("the battery is low: 9.8 V")
     # A fall after the goal is a fall too.
     late = story(topple_s=6.4).judged().result()
     assert (late.falls, late.success) == (1, False)
