@@ -1,5 +1,6 @@
 """Servos of a robot profile: data sheet, settings of the position controller, and battery."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import Register, ServoModel
 
+_FULL_CELL_V, _WARN_CELL_V, _EMPTY_CELL_V = 4.2, 3.5, 3.3  # [V] of a lithium polymer cell, open circuit
 WARM_K = 12.0  # [K] below the temperature limit of the servos, from where the robot walks slower
 
 
@@ -150,3 +152,14 @@ class Battery:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @staticmethod
+    def of_volts(volts: float) -> "Battery":
+        """Return the limits for the lithium polymer cells in series that supply a voltage [V]."""
+        cells = math.ceil(volts / _FULL_CELL_V)
+        return Battery(round(cells * _WARN_CELL_V, 1), round(cells * _EMPTY_CELL_V, 1))
+
+    @property
+    def full_voltage(self) -> float:
+        """Voltage [V] of the full battery, if it consists of lithium polymer cells."""
+        return round(self.empty_voltage * _FULL_CELL_V / _EMPTY_CELL_V, 2)

@@ -21,7 +21,7 @@ STALL_TORQUES = MappingProxyType(
         "AX-12A": 1.5,
         "AX-18A": 1.8,
         "AX-12W": 0.2,
-        "RX-28": 2.5,
+        "RX-28": 2.96,
         "RX-64": 4.24,
         "MX-28": 2.5,
         "MX-64": 6.0,
@@ -30,26 +30,30 @@ STALL_TORQUES = MappingProxyType(
         "XC430-W150": 1.6,
         "XC430-W240": 1.9,
         "XM430-W350": 4.1,
+        "XM540-W270": 10.6,
         "STS3215": 2.94,
         "LX-16A": 1.67,
         "HX-35H": 3.43,
     }
 )
 # [V] -> stall torque [N m] and no-load speed [rpm] of servos with several voltages, or sold for several, the usual one first.
-# ROBOTIS e-manual. Feetech sells the STS3215 for 12 V (30 kg cm, 0.222 s for 60 deg) and for 7.4 V (19.5 kg cm, 0.192 s).
+# ROBOTIS e-manual; of the RX servos it states 18.5 V, and 14.8 V is in proportion, as for a DC motor. Feetech sells the STS3215
+# for 12 V (30 kg cm, 0.222 s for 60 deg) and for 7.4 V (19.5 kg cm, 0.192 s).
 AT_VOLTS = MappingProxyType(
     {
+        "RX-28": {14.8: (2.96, 68.0), 18.5: (3.7, 85.0)},
+        "RX-64": {14.8: (4.24, 51.2), 18.5: (5.3, 64.0)},
         "MX-28": {12.0: (2.5, 55.0), 11.1: (2.3, 50.0), 14.8: (3.1, 67.0)},
+        "MX-64": {12.0: (6.0, 63.0), 11.1: (5.5, 58.0), 14.8: (7.3, 78.0)},
         "XL430-W250": {11.1: (1.4, 57.0), 9.0: (1.0, 47.0), 12.0: (1.5, 61.0)},
         "XC430-W150": {12.0: (1.6, 106.0), 11.1: (1.4, 99.0), 9.0: (1.2, 80.0)},
         "XC430-W240": {12.0: (1.9, 70.0), 11.1: (1.7, 65.0), 9.0: (1.4, 52.0)},
+        "XM430-W350": {12.0: (4.1, 46.0), 11.1: (3.8, 43.0), 14.8: (4.8, 57.0)},
+        "XM540-W270": {12.0: (10.6, 30.0), 11.1: (10.0, 28.0), 14.8: (12.9, 37.0)},
         "STS3215": {12.0: (2.94, 45.0), 7.4: (1.91, 52.0)},
     }
 )
-_TWO_CELLS = Battery(7.0, 6.6)  # lithium polymer; a battery of three has the defaults
-_TWO_CELLS_V, _FOUR_CELLS_V = 8.4, 13.0  # [V] up to which two cells are usual, and from which four are
-_OF_TWO_CELLS = ("XL-320", "LX-16A")
-_RX_64_SPEED = 5.36  # [rad/s] at 14.8 V; its model has the speed at 18.5 V
+_USUAL_VOLTS = MappingProxyType({"XL-320": 7.4, "LX-16A": 7.4})  # of models without entry above; for the others 12 V
 _COMPLIANCE_SLOPE = 32  # the factory's
 _ARMATURE_PER_NM, _FRICTION_PER_NM = 0.002, 0.02  # [kg m^2] and [N m] per N m of stall torque, assumed: those of the AX-12A
 # [kg m^2] armature and [N m] friction of servos that were identified: the STS3215 for Open Duck Mini
@@ -78,8 +82,6 @@ def proposed_servo(name: str, stall_torque: float | None = None, volts: float | 
         ConfigError: The maker states no torque for the voltage.
     """
     model, torque, speed = MODEL_NAMED[name], STALL_TORQUES[name], MODEL_NAMED[name].no_load_speed
-    if name == "RX-64":
-        speed = _RX_64_SPEED
     known = AT_VOLTS.get(name, {})
     if volts is not None and volts not in known:
         stated = ", ".join(f"{volt:g}" for volt in known)
@@ -119,11 +121,8 @@ def _proposal(model: ServoModel, torque: float, speed: float) -> dict[str, Any]:
 
 def proposed_battery(name: str, volts: float | None = None) -> Battery:
     """Return the voltage limits of the usual battery for servos of a model, or for a voltage [V]."""
-    if volts is None:
-        return _TWO_CELLS if name in _OF_TWO_CELLS else Battery()
-    if volts <= _TWO_CELLS_V:
-        return _TWO_CELLS
-    return Battery(14.0, 13.2) if volts >= _FOUR_CELLS_V else Battery()
+    usual = next(iter(AT_VOLTS[name])) if name in AT_VOLTS else _USUAL_VOLTS.get(name, 12.0)
+    return Battery.of_volts(usual if volts is None else volts)
 
 
 def chosen_servo(word: str, volts: float | None = None) -> tuple[Servo, Battery]:

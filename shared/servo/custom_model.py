@@ -92,7 +92,6 @@ class ModelNumbers:
     number: int  # value of the model number register
     no_load_rpm: float  # [rpm] in joint mode, at the highest voltage of its data sheet
     stall_current: float = 0.0  # [A] at the stall torque; only the simulated battery uses it
-    supply_volts: tuple[float, float] = (12.6, 9.9)  # [V] full and empty; only the simulated battery uses them
     positions: int = 0  # number of positions in the range, such as 1024 or 4096
     range_deg: float = 0.0  # [deg] range of these positions, such as 300 or 360
     speed_rpm: float = 0.0  # [rpm] per unit of goal and present speed
@@ -110,9 +109,6 @@ class ModelNumbers:
         *config.each("range_deg", lambda angle: angle == 0 or 30 <= angle <= 360, "a range from 30 to 360 deg"),
         *config.each("speed_rpm load volt", lambda unit: 0 <= unit <= 10, "a unit from 0 to 10"),
         *config.each("full_torque_deg", lambda angle: 0 <= angle <= 180, "an angle from 0 to 180 deg"),
-        config.together(
-            "supply_volts", lambda volts: 0 < volts[1] <= volts[0] <= 100, "full and empty voltage, full first, up to 100 V,"
-        ),
         config.Check(("like", "registers"), _does_not_fit),
     )
 

@@ -102,7 +102,7 @@ STS3215 = ServoModel(
 )
 
 
-def _x430(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0, **overrides: int) -> ServoModel:
+def _x(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0, **overrides: int) -> ServoModel:
     """Return a model of the X series; with a stall current [A] if it measures its current instead of its load."""
     # The PWM is P / 128 per tick of position error.
     units = x_series.UNITS
@@ -125,10 +125,11 @@ def _x430(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0
     )
 
 
-XL430_W250 = _x430("XL430-W250", 1060, 61.0, position_p_gain=640, position_d_gain=4000)
-XC430_W150 = _x430("XC430-W150", 1070, 106.0, temperature_limit=80, max_voltage=160, position_p_gain=460, velocity_limit=460)
-XC430_W240 = _x430("XC430-W240", 1080, 70.0, temperature_limit=80, max_voltage=160, position_p_gain=700, velocity_limit=306)
-XM430_W350 = _x430("XM430-W350", 1020, 57.0, 2.3, temperature_limit=80, max_voltage=160, min_voltage=95, velocity_limit=200)
+XL430_W250 = _x("XL430-W250", 1060, 61.0, position_p_gain=640, position_d_gain=4000)
+XC430_W150 = _x("XC430-W150", 1070, 106.0, temperature_limit=80, max_voltage=160, position_p_gain=460, velocity_limit=460)
+XC430_W240 = _x("XC430-W240", 1080, 70.0, temperature_limit=80, max_voltage=160, position_p_gain=700, velocity_limit=306)
+XM430_W350 = _x("XM430-W350", 1020, 57.0, 2.3, temperature_limit=80, max_voltage=160, min_voltage=95, velocity_limit=200)
+XM540_W270 = _x("XM540-W270", 1120, 37.0, 4.4, temperature_limit=80, max_voltage=160, min_voltage=95, velocity_limit=128)
 XL_320 = ServoModel(
     "XL-320",
     350,
@@ -171,7 +172,7 @@ def _lewansoul(name: str, number: int, no_load_rpm: float, **overrides: int) -> 
 LX_16A = _lewansoul("LX-16A", 16, 62.5)  # 0.16 s for 60 deg at 7.4 V
 HX_35H = _lewansoul("HX-35H", 35, 55.6, max_voltage=14_000)  # 0.18 s for 60 deg at 11.1 V
 MODELS = (
-    *(AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350, XL_320),
-    *(STS3215, LX_16A, HX_35H),
+    *(AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350),
+    *(XM540_W270, XL_320, STS3215, LX_16A, HX_35H),
 )
 MODEL_NAMED = MappingProxyType({model.name: model for model in MODELS})

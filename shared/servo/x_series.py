@@ -1,6 +1,6 @@
-"""Dynamixel X series, models X430: control table of Protocol 2.0 and its units.
+"""Dynamixel X series, models X430 and XM540: control table of Protocol 2.0 and its units.
 
-Sources: ROBOTIS e-manual, pages XL430-W250, XC430-W150, XC430-W240 and XM430-W350.
+Sources: ROBOTIS e-manual, pages XL430-W250, XC430-W150, XC430-W240, XM430-W350 and XM540-W270.
 """
 
 import math
@@ -53,7 +53,7 @@ _PROFILE_ACCELERATION = setting("profile acceleration", 108, 4, 0, 0, 32767)
 _PROFILE_VELOCITY = setting("profile velocity", 112, 4, 0, 0, 32767)
 _GOAL_POSITION = setting("goal position", 116, 4, 2048, 0, 4095)
 _MOVING = measured("moving", 122, 1)
-_LOAD = measured("present load", 126, 2)  # of the XM430: present current
+_LOAD = measured("present load", 126, 2)  # of the XM430 and XM540: present current
 _VELOCITY = measured("present velocity", 128, 4)
 _POSITION = measured("present position", 132, 4)
 _VOLTAGE = measured("present input voltage", 144, 2)

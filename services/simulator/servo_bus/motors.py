@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from sextant.shared.robot.servo import Servo
+from sextant.shared.robot.servo import Battery, Servo
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,10 @@ class Supply:
 
 
 AX_12A_MOTOR = Motor()
-# At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are scaled with the voltage, as for a DC motor.
+# At 14.8 V. The e-manual has 5.3 N m and 2.6 A, and 3.7 N m and 1.9 A, at 18.5 V; scaled with the voltage, as for a DC motor.
 RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
+RX_28_MOTOR = Motor(stall_torque=2.96, stall_current=1.52)
 RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: Lotriet 2024, section 3.1
-RX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.7)  # at 12 V
 MX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.4, standby_current=0.1)  # at 12 V
 MX_64_MOTOR = Motor(stall_torque=6.0, stall_current=4.1, standby_current=0.1)  # at 12 V
 STS3215_MOTOR = Motor(stall_torque=2.94, stall_current=2.7, standby_current=0.006)  # the model for 12 V
@@ -44,6 +44,7 @@ XL430_W250_MOTOR = Motor(stall_torque=1.4, stall_current=1.3, standby_current=0.
 XC430_W150_MOTOR = Motor(stall_torque=1.6, stall_current=1.4, standby_current=0.046)  # at 12 V
 XC430_W240_MOTOR = Motor(stall_torque=1.9, stall_current=1.4, standby_current=0.046)  # at 12 V
 XM430_W350_MOTOR = Motor(stall_torque=4.1, stall_current=2.3, standby_current=0.04)  # at 12 V
+XM540_W270_MOTOR = Motor(stall_torque=10.6, stall_current=4.4, standby_current=0.04)  # at 12 V
 # A DS3218 at 6.8 V. A battery behind a step-down converter keeps this voltage.
 PWM_MOTOR = Motor(stall_torque=2.11, stall_current=2.3, standby_current=0.005)
 PWM_SUPPLY = Supply(full_voltage=6.8, empty_voltage=6.8, resistance=0.01)
@@ -63,6 +64,7 @@ MOTOR_AND_SUPPLY = {
     "XC430-W150": (XC430_W150_MOTOR, Supply()),
     "XC430-W240": (XC430_W240_MOTOR, Supply()),
     "XM430-W350": (XM430_W350_MOTOR, Supply()),
+    "XM540-W270": (XM540_W270_MOTOR, Supply()),
     "STS3215": (STS3215_MOTOR, Supply()),
     "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
     "LX-16A": (LX_16A_MOTOR, Supply(full_voltage=8.4, empty_voltage=6.6)),
@@ -70,14 +72,19 @@ MOTOR_AND_SUPPLY = {
 }
 
 
+def powered_by(supply: Supply, battery: Battery) -> Supply:
+    """Return a supply with the voltages of a robot's battery, unless it is a constant one above the limits of the battery."""
+    if supply.full_voltage == supply.empty_voltage >= battery.warn_voltage:
+        return supply
+    return replace(supply, full_voltage=battery.full_voltage, empty_voltage=battery.empty_voltage)
+
+
 def motor_and_supply(servo: Servo) -> tuple[Motor, Supply]:
-    """Return motor and supply of a servo's model; those of a model by its numbers have its current and voltages."""
+    """Return motor and supply of a servo's model; the motor of a model by its numbers has its torque and current."""
     if servo.pulses is not None:
         return PWM_MOTOR, PWM_SUPPLY
     if servo.numbers is None:
         return MOTOR_AND_SUPPLY[servo.model]
     motor, supply = MOTOR_AND_SUPPLY[servo.numbers.like]
-    full, empty = servo.numbers.supply_volts
     current = servo.numbers.stall_current or motor.stall_current * servo.stall_torque / motor.stall_torque
-    motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
-    return motor, replace(supply, full_voltage=full, empty_voltage=empty)
+    return replace(motor, stall_torque=servo.stall_torque, stall_current=current), supply

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.simulator.servo_bus.motors import AX_12A_MOTOR, Motor, Supply, motor_and_supply
+from sextant.services.simulator.servo_bus.motors import AX_12A_MOTOR, Motor, Supply, motor_and_supply, powered_by
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.services.simulator.servo_bus.servo_kernels import measure, update_controllers, update_heat
-from sextant.shared.robot.servo import Servo
+from sextant.shared.robot.servo import Battery, Servo
 from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import AX_12A
 from sextant.shared.servo.protection import Protection
@@ -506,18 +506,22 @@ def make_servo_bank(
     battery_resistance: float = 1.0,
     variation: ServoVariation | None = None,
     powered_like: Servo | None = None,
+    battery: Battery | None = None,
 ) -> ServoBank:
-    """Create the servos of a profile: registers and supply of their model, torque and stiffness of the profile.
+    """Create the servos of a profile: registers of their model, torque and stiffness of the profile, voltages of its battery.
 
     The profile states the torque at the robot's own voltage, and the actuator converts loads with it. The current of a motor is
     proportional to its torque. The servos start at joint angles q (n,) [rad]. The capacity [A h] has no effect on a supply with
-    constant voltage, and `battery_resistance` is a factor. The supply is that of the servo `powered_like`, by default of this.
+    constant voltage, and `battery_resistance` is a factor. The supply is that of the servo `powered_like`, by default of this;
+    without a battery it has the usual voltages of the model.
     """
     motor, supply = motor_and_supply(servo)
     current = motor.stall_current * servo.stall_torque / motor.stall_torque
     motor = replace(motor, stall_torque=servo.stall_torque, stall_current=current)
     if powered_like is not None:
         supply = motor_and_supply(powered_like)[1]
+    if battery is not None:
+        supply = powered_by(supply, battery)
     supply = replace(supply, capacity_ah=battery_ah, resistance=supply.resistance * battery_resistance)
     model, n = servo.servo_model, len(servo_ids)
     dead_band_rad = servo.pulses.dead_band_us / servo.pulses.us_per_rad if servo.pulses else 0.0

@@ -157,7 +157,7 @@ def make_robot_servos(
     """Create the servos of a robot at joint angles q (18,) [rad] in servo coordinates; see `make_servo_bank`."""
     ids, servos = list(profile.servo_names), profile.servos
     if len(servos.buses) == 1 and not profile.servo_groups:
-        bank = make_servo_bank(profile.servo, ids, q, battery_ah, battery_resistance, variation)
+        bank = make_servo_bank(profile.servo, ids, q, battery_ah, battery_resistance, variation, battery=profile.battery)
         return RobotServos(bank, (bank,))
     banks: list[ServoBank] = []
     of_bank: list[list[int]] = []
@@ -169,7 +169,10 @@ def make_robot_servos(
         for servo, rows in alike.items():
             part = ServoVariation(variation.stiffness[rows], variation.torque[rows], variation.backlash[rows])
             of_servo = [ids[row] for row in rows]
-            banks.append(make_servo_bank(servo, of_servo, q[rows], battery_ah, battery_resistance, part, profile.servo))
+            bank = make_servo_bank(
+                servo, of_servo, q[rows], battery_ah, battery_resistance, part, profile.servo, profile.battery
+            )
+            banks.append(bank)
             of_bank.append(rows)
         on_bus.append(ServoBanks(banks[first:], [list(map(bus.rows.index, rows)) for rows in of_bank[first:]]))
     return RobotServos(ServoBanks(banks, of_bank), tuple(on_bus))

@@ -30,7 +30,8 @@ def test_row_states_the_model(model: ServoModel) -> None:
         gain,
         ENDS[model.recovery],
     ]
-    assert f"| {' | '.join(row)} |" in PAGE
+    line = f"| {' | '.join(row)} |"
+    assert line in PAGE, f"add this row to docs/servos.md: {line}"
 
 
 def test_full_torque_angles_are_those_of_the_gains() -> None:

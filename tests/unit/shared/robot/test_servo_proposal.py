@@ -1,10 +1,12 @@
 """Proposed servos: data of their models, and the torques that the simulator has, too."""
 
+import numpy as np
 import pytest
 
 from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.robot.servo_proposal import AT_VOLTS, STALL_TORQUES, nearest_servo, proposed_servo
+from sextant.shared.robot.servo_proposal import AT_VOLTS, STALL_TORQUES, nearest_servo, proposed_battery, proposed_servo
 from sextant.shared.servo.models import MODEL_NAMED
 
 
@@ -35,6 +37,22 @@ def test_proposed_servos_are_those_of_the_shipped_profiles() -> None:
     printed, proposed = load_profile("printed_sts3215").servo, proposed_servo("STS3215")
     for value in ("armature", "friction", "stall_torque", "position_gain", "stiffness"):
         assert getattr(proposed, value) == getattr(printed, value)
+
+
+@pytest.mark.parametrize("name", sorted(AT_VOLTS))
+def test_no_load_speed_of_a_model_is_that_at_its_highest_voltage(name: str) -> None:
+    assert AT_VOLTS[name][max(AT_VOLTS[name])][1] == MODEL_NAMED[name].no_load_rpm
+
+
+@pytest.mark.parametrize("name", sorted(STALL_TORQUES))
+def test_simulated_battery_is_that_of_the_profile(name: str) -> None:
+    """A full battery is above the limit at which the robot warns, and an empty one at the limit at which it sits down."""
+    for volts in (None, *AT_VOLTS.get(name, ())):
+        servo, battery = proposed_servo(name, volts=volts), proposed_battery(name, volts)
+        supply = make_servo_bank(servo, (1,), np.zeros(1), battery=battery).supply
+        assert supply.full_voltage >= 1.05 * battery.warn_voltage
+        if supply.full_voltage != supply.empty_voltage:  # no bench supply
+            assert supply.empty_voltage == battery.empty_voltage
 
 
 @pytest.mark.parametrize("name", sorted(AT_VOLTS))

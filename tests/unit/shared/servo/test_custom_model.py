@@ -104,7 +104,6 @@ def test_bus_of_such_servos_is_read_and_moved(text: str) -> None:
         (W210.replace("XM430-W350", "XM430-W530"), "like: one of AX-12A, "),
         (W210.replace("1030", "70000"), "number: a model number from 1 to 65535 expected, found 70000"),
         (W210 + "positions = 100\n", "positions: 256 to 65536 positions expected, found 100"),
-        (W210 + "supply_volts = [9.0, 12.0]\n", "supply_volts: full and empty voltage, full first, up to 100 V, expected"),
         (W210 + '[[registers]]\nrole = "gaol_position"\n', "registers[0].role: one of baud_rate, firmware, goal_position, "),
         (W210 + '[[registers]]\nrole = "lock"\n', "registers[0].role: a role that XM430-W350 has expected, found 'lock'"),
         (
