@@ -45,7 +45,7 @@ def split(name: str, text: str, parts: Mapping[str, Part], index: Mapping[str, s
     if taken:
         raise ValueError(f"docs/{name}.md has no sections {', '.join(taken)}")
     if left := [title for title in index if page_of.get(title, name) == name]:
-        raise ValueError(f"no part of docs/{name}.md takes {', '.join(left)}")
+        raise ValueError(f"no part of docs/{name}.md takes {', '.join(left)}: add it to a Part of docs/reference")
     if index:
         rows = (f"| [`{title}`]({page_of[title]}.md#{anchor(title)}) | {meaning} |" for title, meaning in index.items())
         pages[name][place:place] = ["| name | meaning |", "|---|---|", *rows, ""]

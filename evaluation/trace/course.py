@@ -15,22 +15,13 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
 from sextant.shared.robot.profile import Camera
 from sextant.shared.scenario.scenario import Scenario
-from sextant.shared.scenario.terrain import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble
+from sextant.shared.scenario.terrain import ON_GROUND, Plane
 
 RAISED = 0.005  # [m] ground this much higher than its surroundings is raised
 _NARROW = 0.20  # [m] maximum width of narrow tops, such as pillars and stones
 _SAME_HEIGHT = 1e-6  # [m] tolerance for a point on the top of a box
 _EDGE_JUMP = 0.02  # [m] minimum height difference at the edge of a supporting surface
 _EDGE_STEP, _DIRECTIONS = 0.001, 64  # [m] radial step of the search for edges, and its number of directions
-_IN_THE_WAY = (
-    Box,
-    Hole,
-    Rubble,
-    Pillars,
-    PillarField,
-    Puddle,
-    Puddles,
-)  # parts removed to get the ground below the blocks
 
 
 class Ground(Protocol):
@@ -57,7 +48,7 @@ class Course:
         )
 
         self.terrain: Ground = build_terrain(scenario, np.random.default_rng([seed, 0])) if terrain is None else terrain
-        unblocked = tuple(part for part in scenario.terrain if not isinstance(part, _IN_THE_WAY))
+        unblocked = tuple(part for part in scenario.terrain if not isinstance(part, ON_GROUND))
         bare = replace(scenario, terrain=unblocked or (Plane(),))
         self._unblocked: Ground = build_terrain(bare, np.random.default_rng([seed, 0]))
         self._length = scenario.goal.distance

@@ -320,7 +320,7 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
         ("slip per step p50", trials.slip_p50_m, 1e3, ".1f", " mm"),
         ("least stability margin", trials.stability_margin_m, 1e3, ".0f", " mm"),
         ("torque rms of the worst joint", trials.torque_rms_nm, 1.0, ".2f", " N m"),
-        ("height oscillation", trials.height_oscillation_m, 1e3, ".1f", " mm"),
+        ("range of the body's height", trials.height_oscillation_m, 1e3, ".1f", " mm"),
         ("pose error at the end", trials.final_pose_error, 1e2, ".2f", " % of the way"),
         ("map of the course, rmse", trials.map_rmse_m, 1e3, ".1f", " mm"),
         ("map off edges, rmse", trials.map_off_edges_m, 1e3, ".1f", " mm"),

@@ -24,10 +24,10 @@ class StepRequest:
     T_world_body: Array  # (4, 4) body pose, the reference that the legs follow
     feet: Array  # (6, 3) [m] {world} foot centres
     due: tuple[NDArray[np.bool_], ...]  # (6,) groups of legs of the gait, the one that should swing first comes first
-    velocity: Array  # (2,) [m/s] {body}
+    velocity: Array  # (2,) [m/s] {body} as commanded, which may be faster than the legs can
     yaw_rate: float  # [rad/s]
     body_height: float  # [m] of the body's origin above the ground
-    lift: float  # [m] minimum height of a swinging foot over both ends of its swing
+    lift: float  # [m] minimum height of a swinging foot over both ends of its swing, on level ground
     step_s: float  # [s] duration of a step in the gait
     stances: int  # number of steps for which a foot stands, in the gait
     map: TerrainMap
@@ -37,12 +37,18 @@ class StepRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One step. It must end in a statically stable stance."""
+    """One step. It must end in a statically stable stance.
+
+    Standing legs must reach the body's pose at the end. So a step from rest must be shorter than the others, and so should be
+    the one after a refusal.
+    """
 
     swing: NDArray[np.bool_]  # (6,) legs that swing
     touchdown: Array  # (6, 3) [m] {world} foot centres at the end; those of standing legs do not matter
     T_world_body: Array  # (4, 4) body pose at the end
-    clearance: Array  # (6,) [m] height of a swinging foot over both ends of its swing
+    # (6,) [m] height of a swinging foot over both ends of its swing. What lies between them is not added: a foot that swings
+    # over a block needs the height of the block, too.
+    clearance: Array
     duration_s: float
 
 
@@ -60,7 +66,7 @@ class StepPlanner(Protocol):
     def plan(self, request: StepRequest, /) -> Step | NoStep:
         """Return the next step, or why there is none.
 
-        It is called up to five times a second, and should take less than 50 ms.
+        It is called up to 15 times a second, and should take less than 50 ms.
         """
         ...
 

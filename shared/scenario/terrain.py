@@ -384,3 +384,5 @@ Terrain = (
     | Patches
     | Course
 )
+# Kinds that stand on the ground or are sunk into it: the report tells touchdowns on them from those on the ground.
+ON_GROUND = (Box, Hole, Rubble, Pillars, PillarField, Puddle, Puddles)

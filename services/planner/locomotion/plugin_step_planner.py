@@ -67,6 +67,10 @@ class PluginStepPlanner(StepPlanner):
         """Return no step: the plug-in decides alone where feet go."""
         return NoStep("the plug-in plans no step on the spot"), 0
 
+    def describe(self, planned: PlannedStep) -> str:
+        """Return how many feet swing, as text: what is nominal only the plug-in knows."""
+        return f"{planned.swing.sum()} feet to where the plug-in puts them"
+
     def describe_slowdown(self, command: VelocityCommand, stride: PlannedStep) -> str:
         """Return no text: the plug-in chooses the speed."""
         return ""

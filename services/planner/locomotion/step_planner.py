@@ -110,6 +110,12 @@ class StepPlanner:
         """
         return (self._profile.stance.step_s if pace is None else pace.step_s) * gait_of(command.gait).pace
 
+    def describe(self, planned: PlannedStep) -> str:
+        """Return how many feet go elsewhere than to their nominal place, as text."""
+        if not planned.swing.any():
+            return "moving only the body, to make room for a leg"
+        return f"{planned.moved} of {planned.swing.sum()} footholds moved from their nominal place"
+
     def describe_slowdown(self, command: VelocityCommand, stride: PlannedStep) -> str:
         """Return by how much a step is slower than commanded, as text, or "".
 

@@ -269,11 +269,7 @@ class StepSelector:
 
     def _describe(self, planned: PlannedStep, command: VelocityCommand) -> str:
         """Return what differs from the commanded step, as text."""
-        moved = (
-            f"{planned.moved} of {planned.swing.sum()} footholds moved from their nominal place"
-            if planned.swing.any()
-            else "moving only the body, to make room for a leg"
-        )
+        moved = self._by_sight.describe(planned)
         shorter = "" if planned.share == 1.0 else f", stride shortened to {planned.share:.0%}"
         slower = "" if self.auto_gait.pace else self._by_sight.describe_slowdown(command, planned)
         instead = f"; the legs due first are blocked: {planned.instead}" if planned.instead else ""

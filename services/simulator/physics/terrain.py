@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,6 +236,8 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
                     patches.append(part)
                 case Course():
                     raise AssertionError("every course has been replaced by its pieces")
+                case _:
+                    assert_never(part)
     with _named("terrain"):
         for name, count in (("plane", len(planes)), ("height_map or relief", len(fields))):
             if count > 1:

@@ -69,7 +69,8 @@ def test_each_field_of_a_report_has_a_meaning_and_each_number_a_unit(kind: type[
 def test_each_kind_of_terrain_has_an_example() -> None:
     terrain, stretches = get_type_hints(Scenario)["terrain"], get_type_hints(Course)["stretches"]
     kinds = [get_type_hints(kind)["kind"] for hint in (terrain, stretches) for kind in tables_of(hint)[0]]
-    assert [get_args(kind)[0] for kind in kinds] == list(terrain_pictures.EXAMPLES)
+    names = [get_args(kind)[0] for kind in kinds]
+    assert names == list(terrain_pictures.EXAMPLES), "EXAMPLES of terrain_pictures.py has each kind, in the order of `Terrain`"
 
 
 @pytest.mark.slow
