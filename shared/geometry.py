@@ -266,6 +266,13 @@ def inverse(T: Array) -> Array:
     return transform(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
 
+def on_twists(R: Array) -> Array:
+    """Return the matrix (6, 6) that turns twists, linear then angular, by a rotation (3, 3)."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = R
+    return out
+
+
 def apply(T: Array, points: ArrayLike) -> Array:
     """Transform points (..., 3) [m] with a (4, 4) transform."""
     return _offset(np.asarray(points, dtype=np.float64) @ T[:3, :3].T, T[:3, 3])

@@ -348,7 +348,10 @@ class _Socket:
         return {name: partial(self._open, name) for name in self._devices}
 
     def now_ns(self) -> int:
-        return max((self._clock(), *(port.last_ns for port in self._ports.values())))
+        now_ns = self._clock()
+        for port in self._ports.values():
+            now_ns = max(now_ns, port.last_ns)
+        return now_ns
 
     def _open(self, name: str) -> MemoryPort:
         self.is_first &= name not in self._ports

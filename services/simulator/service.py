@@ -348,12 +348,12 @@ class Simulator:
         world = self.world
         return GroundTruth(
             stamp_ns=now_ns,
-            T_world_body=np.array(world.T_world_body),
-            q=np.array(world.q),
-            torque=np.array(world.torque),
-            feet=np.array(world.p_world_foot),
-            contact=np.array(world.foot_contact),
-            carries_load=np.array(world.leg_contact),
+            T_world_body=world.T_world_body,
+            q=world.q,
+            torque=world.torque,
+            feet=world.p_world_foot,
+            contact=world.foot_contact,
+            carries_load=world.leg_contact,
             shutdown=self._bank.shutdown.reshape(6, 3),
             voltage=float(self._bank.voltage),
             temperature=float(self._bank.temperature.max()),

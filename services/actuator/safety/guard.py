@@ -11,6 +11,7 @@ off.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +41,7 @@ class Act(StrEnum):
     FREEZE = "stay as it is"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Walk:
+class Walk(NamedTuple):
     """State of the walk."""
 
     step: int  # the running step, or the last one

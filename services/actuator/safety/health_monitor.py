@@ -57,6 +57,9 @@ class Verdict:
     warnings: tuple[str, ...] = ()
 
 
+_WELL = Verdict()
+
+
 @dataclass(slots=True)
 class _Shutdown:
     """Shutdowns of one servo."""
@@ -183,7 +186,7 @@ class Health:
     def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:
         """Evaluate servo shutdowns; overload shutdowns are reset a few times."""
         if not (self._shut_down or np.count_nonzero(errors & np.uint8(SHUT_DOWN))):
-            return Verdict()
+            return _WELL
         broken, sit, restore_torque = "", "", list[int]()
         for index, shutdown in enumerate(self._shutdowns):
             if silent[index]:
@@ -229,7 +232,7 @@ class Health:
         np.minimum(temperature, self._temperature + _MAX_WARMING_K_S * dt, out=self._temperature, where=known)
         below = float((self._limit - self._temperature).min(where=known, initial=np.inf))
         if below >= WARM_K:
-            return Verdict()
+            return _WELL
         hottest = int(np.argmin(np.where(known, self._limit - self._temperature, np.inf)))
         words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C hot"
         pace = max(_MIN_PACE, 1.0 - (1.0 - _MIN_PACE) * (WARM_K - below) / (WARM_K - _HOT_K))
@@ -240,7 +243,7 @@ class Health:
         lowest = float(np.fmin.reduce(voltage))
         if math.isnan(lowest):
             self._low_since = None
-            return Verdict()
+            return _WELL
         rate = 1.0 - math.exp(-dt / _SETTLED_S)
         self._voltage = lowest if np.isnan(self._voltage) else self._voltage + rate * (lowest - self._voltage)
         battery = self._profile.battery
@@ -248,11 +251,12 @@ class Health:
             self._low_since = None
         elif self._low_since is None:
             self._low_since = now
-        words = f"the battery is low: {self._voltage:.1f} V"
-        warnings = (words,) if self._voltage < battery.warn_voltage else ()
         lasts = self._low_since is not None and now - self._low_since >= _LOW_S
         empty = lasts and lowest < battery.empty_voltage  # and the sag is not over
-        return Verdict(sit=words if empty else "", warnings=warnings)
+        if not empty and self._voltage >= battery.warn_voltage:
+            return _WELL
+        words = f"the battery is low: {self._voltage:.1f} V"
+        return Verdict(sit=words if empty else "", warnings=(words,) if self._voltage < battery.warn_voltage else ())
 
     def _fresh(self) -> float:
         """Return the share of the nominal speed that the recent load allows."""

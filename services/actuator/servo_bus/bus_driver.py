@@ -409,10 +409,13 @@ class ServoBus:
         Late servos come first, then those of `first`, then those left over, then the rotation.
         """
         urgent = sorted(dict.fromkeys((*first, *self._again)), key=lambda i: (i not in first, i not in self._again))
-        others = [i for k in range(len(self)) if (i := (self._next + k) % len(self)) not in urgent]
-        late = [i for i in (*urgent, *others) if i not in first and self._is_late(i, now_ns)]
-        late = sorted(late, key=lambda i: (self.missed[i] == 0, self._asked_ns[i]))[: self._most_late]
-        return deque(dict.fromkeys((*late, *urgent, *others))), others
+        others = [i for i in (*range(self._next, len(self)), *range(self._next)) if i not in urgent]
+        turn = [*urgent, *others]
+        if np.count_nonzero(self.missed) or now_ns - min(self._asked_ns) > self._overdue_ns:
+            late = [i for i in turn if i not in first and self._is_late(i, now_ns)]
+            late = sorted(late, key=lambda i: (self.missed[i] == 0, self._asked_ns[i]))[: self._most_late]
+            turn = list(dict.fromkeys((*late, *turn)))
+        return deque(turn), others
 
     def _is_late(self, index: int, now_ns: int) -> bool:
         """Return whether a request to a servo is late. One that has been silent for long waits for its rare turns instead."""

@@ -115,8 +115,8 @@ class ReadingValidator:
     def sent(self, goal_ticks: list[int]) -> None:
         """Store the goals that were sent to the n servos."""
         self._goals.append(goal_ticks)
-        self._lowest = [min(goals) for goals in zip(*self._goals, strict=True)]
-        self._highest = [max(goals) for goals in zip(*self._goals, strict=True)]
+        self._lowest = [*map(min, zip(*self._goals, strict=True))]
+        self._highest = [*map(max, zip(*self._goals, strict=True))]
 
     def accepts(self, index: int, state: State, noisy: bool) -> bool:
         """Return whether to accept a reading; otherwise the caller should request it again.

@@ -1,7 +1,7 @@
 """Readings of servos in physical units, and estimates of what a servo does not measure."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus.reading_validation import State
 from sextant.shared.servo.servo_model import Feedback, ServoError, Units
@@ -9,8 +9,7 @@ from sextant.shared.servo.servo_model import Feedback, ServoError, Units
 _LONGEST_NS = 200_000_000  # [ns] between two positions from which a speed is estimated
 
 
-@dataclass(frozen=True, slots=True)
-class ServoReading:
+class ServoReading(NamedTuple):
     """Measurements of one servo; voltage and temperature are NaN if they were not read this time."""
 
     index: int  # in the driver's list of ids
@@ -30,17 +29,17 @@ class ServoReading:
 def reading(index: int, servo_id: int, told_ns: int, state: State, error: ServoError, units: Units) -> ServoReading:
     """Return the reading from the state of a servo that measures everything."""
     return ServoReading(
-        index=index,
-        servo_id=servo_id,
-        stamp_ns=state.stamp_ns,
-        told_ns=told_ns,
-        position_ticks=state.position,
-        position=(state.position - units.centre) * units.tick_rad,
-        speed=state.speed * units.speed_rad_s,
-        load=state.load * units.load,
-        voltage=state.voltage * units.volt,
-        temperature=float(state.temperature),
-        error=error,
+        index,
+        servo_id,
+        state.stamp_ns,
+        told_ns,
+        state.position,
+        (state.position - units.centre) * units.tick_rad,
+        state.speed * units.speed_rad_s,
+        state.load * units.load,
+        state.voltage * units.volt,
+        float(state.temperature),
+        error,
     )
 
 

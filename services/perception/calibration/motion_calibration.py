@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sextant.shared.geometry import Array, log_so3, skew
+from sextant.shared.geometry import Array, log_so3, on_twists, skew
 
 # One standard deviation before the first measurement.
 _ROTATION_SIGMA = np.radians(2.0)  # [rad] of the mount about each axis of the body
@@ -85,9 +85,9 @@ class MotionCalibration:
         moved = frame.T_moved
         if self._R_begin is None:
             self._R_begin = frame.T_prior[:3, :3]
-        to_begin = np.kron(np.eye(2), self._R_begin.T)  # from {world} to the axes of the stretch
+        to_begin = on_twists(self._R_begin.T)  # from {world} to the axes of the stretch
         gain = to_begin @ _gain(frame) @ to_begin.T
-        motion = np.kron(np.eye(2), self._R_begin.T @ frame.T_prior[:3, :3]) @ self._motion_design(moved)
+        motion = on_twists(self._R_begin.T @ frame.T_prior[:3, :3]) @ self._motion_design(moved)
         seen = gain @ (motion + self._lag)
         self._lag = self._lag + motion - seen
         self._design = self._design + seen

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.services.perception.registration.registration_result import RegistrationResult
-from sextant.shared.geometry import Array, exp_so3, inverse, orthonormal, transform
+from sextant.shared.geometry import Array, exp_so3, inverse, on_twists, orthonormal, transform
 from sextant.shared.robot.profile import Camera
 
 
@@ -37,12 +37,12 @@ class CameraCorrection:
 
     def in_track(self, T_world_camera: Array, covariance: Array) -> tuple[Array, Array]:
         """Return a pose (4, 4) and its covariance (6, 6) in {track}."""
-        J = np.kron(np.eye(2), self._T_world_track[:3, :3].T)
+        J = on_twists(self._T_world_track[:3, :3].T)
         return inverse(self._T_world_track) @ T_world_camera, J @ covariance @ J.T
 
     def in_world(self, found: RegistrationResult) -> RegistrationResult:
         """Return a result in {world}."""
-        J = np.kron(np.eye(2), self._T_world_track[:3, :3])
+        J = on_twists(self._T_world_track[:3, :3])
         return replace(
             found,
             T_world_camera=self._T_world_track @ found.T_world_camera,

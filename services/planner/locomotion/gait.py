@@ -102,7 +102,8 @@ def swing_order(gait: Gait, along: Array, feet: Array, rest_feet: Array) -> list
         # Least squares relative to the fastest foot: near the centre of a turn a foot can hardly fall behind.
         lead = [float(ahead[list(legs)].sum() / moved[list(legs)].sum()) for legs in waiting]
         due = next(k for k, value in enumerate(lead) if value < min(lead) + _EQUAL_LEAD_M / gait.stances)
-        order.append(np.isin(np.arange(6), waiting.pop(due)))
+        legs = waiting.pop(due)
+        order.append(np.array([leg in legs for leg in range(6)]))
     return order
 
 

@@ -120,7 +120,7 @@ class ServoBank:
         self.table, self._units = table, units
         self.tables: NDArray[np.uint8] = np.frombuffer(self._bytes, dtype=np.uint8).reshape(n, table.size)
         self._stored: dict[int, bytearray] = {}  # row -> EEPROM after a loss of power, where it differs from the table
-        self._columns = {register: self._view(register) for register in table.registers}
+        self._columns = {register.name: self._view(register) for register in table.registers}
         self.column(table.id)[:] = servo_ids
         self._torque_limits = self.column(table.torque_limit)
         self._torque_limits[:] = self.column(table.max_torque)
@@ -461,7 +461,7 @@ class ServoBank:
 
     def column(self, register: Register) -> NDArray[np.unsignedinteger]:
         """Return one register (n,) of all servos, as a view of the tables."""
-        return self._columns[register]
+        return self._columns[register.name]
 
     def _view(self, register: Register) -> NDArray[np.unsignedinteger]:
         n, width = self.tables.shape
