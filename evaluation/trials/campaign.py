@@ -1,14 +1,13 @@
-"""Campaign: the same trials on several terrains, one after the other."""
+"""Campaign: the same trials on several terrains, in turn."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from sextant.evaluation.report import Report
-from sextant.evaluation.trials import trials as batches
 from sextant.evaluation.trials.campaign_table import Campaign, Entry, write
 from sextant.evaluation.trials.cluster import Cluster
-from sextant.evaluation.trials.trials import Runner
+from sextant.evaluation.trials.trials import Batch, Runner, Trials, run_batches, to_json
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.scenario import Scenario, load_scenario
@@ -57,7 +56,9 @@ def run_campaign(
     """
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
     whole_files.make_folder(out)
-    entries: list[Entry] = []
+    ways = (False, True) if blind else (False,)  # without a map
+    folders: list[Path] = []
+    batches: list[Batch] = []
     left_out: list[str] = []
     for name in names:
         scenario = asked(load_scenario(name))
@@ -66,22 +67,23 @@ def run_campaign(
             left_out.append(f"{name}: {lacking}")
             say(f"{name} is skipped: {lacking}")
             continue
-        folder = out / name
-
-        def trials_of(blind: bool, end: str, scenario: Scenario = scenario, folder: Path = folder) -> batches.Trials:
-            pictures = _Leaving(wanted[0], folder / f"seed-{wanted[0]}{end}") if cluster is None or cluster.local else None
-            runner = run or pictures
-            return batches.run_trials(scenario, wanted, jobs, folder, blind, say, runner, keep_in, cluster)
-
-        seeing = trials_of(False, "")
-        baseline = None
-        if blind:
-            say("now the same seeds without a map")
-            baseline = trials_of(True, "-blind")
-        entries.append(Entry(seeing, baseline))
+        folders.append(out / name)
+        for way in ways:
+            pictures = _Leaving(wanted[0], folders[-1] / f"seed-{wanted[0]}{'-blind' * way}")
+            runner = run or (pictures if cluster is None or cluster.local else None)
+            batches.append(Batch(scenario, wanted, folders[-1], way, say, runner, keep_in))
+    entries: list[Entry] = []
+    found: list[Trials] = []
+    for batch in run_batches(batches, jobs, cluster):
+        found.append(batch.trials())
+        if len(found) < len(ways):
+            continue
+        seeing, baseline = found[0], found[1] if blind else None
         with whole_files.reported(say):
-            whole_files.write_text(folder / "trials.json", batches.to_json(seeing, baseline), durable=True)
-            write(Campaign(tuple(entries), tuple(left_out)), out, table)
+            whole_files.write_text(folders[len(entries)] / "trials.json", to_json(seeing, baseline), durable=True)
+            write(Campaign((*entries, Entry(seeing, baseline)), tuple(left_out)), out, table)
+        entries.append(Entry(seeing, baseline))
+        found.clear()
     return Campaign(tuple(entries), tuple(left_out))
 
 

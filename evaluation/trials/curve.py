@@ -16,10 +16,9 @@ import numpy as np
 
 from sextant.evaluation import report as reports
 from sextant.evaluation.robot_check.ground_limits import find_ground_limits
-from sextant.evaluation.trials import trials as batches
 from sextant.evaluation.trials.cluster import Cluster
 from sextant.evaluation.trials.logistic_fit import LogisticFit, fit_success
-from sextant.evaluation.trials.trials import Runner, Trials
+from sextant.evaluation.trials.trials import Batch, Runner, Trials, run_batches
 from sextant.shared.files import whole_files
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.family import NamedFamily, check_values
@@ -104,11 +103,12 @@ def run_curve(
     chosen = tuple(values) or family.family.values
     check_values(chosen)
     scenarios = [asked(family.at(value)) for value in chosen]
-    wanted, points = sorted(set(seeds)), []
-    for value, scenario in zip(chosen, scenarios, strict=True):
-        folder = out / f"{value:g}"
-        found = batches.run_trials(scenario, wanted, jobs, folder, blind, say, run, out / "campaign.jsonl", cluster)
-        points.append(Point(value, found))
+    wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
+    batches = [
+        Batch(scenario, wanted, out / f"{value:g}", blind, say, run, keep_in)
+        for value, scenario in zip(chosen, scenarios, strict=True)
+    ]
+    points = [Point(value, batch.trials()) for value, batch in zip(chosen, run_batches(batches, jobs, cluster), strict=True)]
     return Curve(family, tuple(points), _leg_limit(family, scenarios[0].robot))
 
 

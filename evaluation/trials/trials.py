@@ -8,10 +8,10 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,15 @@ from sextant.shared.scenario.scenario import Scenario
 
 _BUSY = 0.85  # [1] CPU time of the walks over their elapsed time below which other work delayed them
 Runner = Callable[[Scenario, int], Report]
+
+
+class Timed(NamedTuple):
+    """Result of one walk."""
+
+    report: Report
+    elapsed_s: float
+    cpu_s: float
+    machine: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +113,119 @@ class Trials:
     passages: Passages | None = None  # None if no run planned to cross a gap, or had one to cross
 
 
+class Batch:
+    """Trials of one scenario: the seeds that have no result yet, and the results so far.
+
+    Results are stored as they come, and summarised in the order of their seeds.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seeds: Iterable[int],
+        out: Path,
+        blind: bool = False,
+        say: Callable[[str], None] = lambda _: None,
+        run: Runner | None = None,
+        keep_in: Path | None = None,
+    ):
+        """Read the results on file, and check the grounds of the other seeds. The arguments are those of `run_trials`."""
+        self.wanted = sorted(set(seeds))
+        if not self.wanted:
+            raise ValueError("at least one seed expected, found 0 seeds")
+        refuse_another_program()
+        self.scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
+        whole_files.make_folder(out)
+        self._path, self._keep_in, self._say = out / "trials.jsonl", keep_in, say
+        self._mark, self._made_by = fingerprint(self.scenario), provenance.commit()
+        self._done = _done(self._path, keep_in, self._mark, self.wanted)
+        self.left = [seed for seed in self.wanted if seed not in self._done]
+        check_grounds(self.scenario, self.left)
+        results_store.mend(self._path)
+        self.tasks = [(run or _run_lockstep, self.scenario, seed) for seed in self.left]
+        self._elapsed_s: list[float] = []
+        self._cpu_s: list[float] = []
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every seed has a result."""
+        return len(self._done) == len(self.wanted)
+
+    def announce(self, processes: int) -> None:
+        """Say how many seeds are done and how many walks follow."""
+        if len(self.left) < len(self.wanted):
+            done = len(self.wanted) - len(self.left)
+            self._say(f"{done} of {len(self.wanted)} seeds are already done; see {self._keep_in or self._path}")
+        if self.left:
+            walks = f"{len(self.left)} walks, {min(processes, len(self.left))} at a time"
+            self._say(f"{self.scenario.name}: {walks}; a line follows for each walk that ends")
+
+    def store(self, result: Timed, processes: int, name: str = "") -> None:
+        """Store the result of a walk, and say it in a line that begins with a name."""
+        report, walk_s, walk_cpu_s, machine = result
+        marks = {"fingerprint": self._mark, "commit": self._made_by, "time": provenance.now(), "machine": machine}
+        if changed := params.changes_in_words(self.scenario):
+            marks["params"] = changed
+        entry = marks | {"report": reports.as_table(report)}
+        done = self._done
+        done[report.seed] = Run.read(entry)
+        with whole_files.reported(self._say):
+            whole_files.append_text(self._path, json.dumps(entry, ensure_ascii=False) + "\n", durable=True)
+            if self._keep_in is not None:
+                results_store.keep(self._keep_in, [done[report.seed]])
+        self._elapsed_s.append(walk_s)
+        self._cpu_s.append(walk_cpu_s)
+        to_go_s = float(np.mean(self._elapsed_s)) * (len(self.wanted) - len(done)) / min(processes, len(self.left))
+        successes = sum(one.success for one in done.values())
+        line = _line(report, len(done), len(self.wanted), successes)
+        self._say(f"{name}{line}  took {walk_s:.0f} s{_to_go(to_go_s)}")
+        if self.is_complete and sum(self._cpu_s) < _BUSY * sum(self._elapsed_s) - 1.0:
+            took = f"a walk took {np.mean(self._elapsed_s):.0f} s, of which {np.mean(self._cpu_s):.0f} s of CPU time"
+            self._say(f"{name}{took}: the machine was busy with other work, which delays results and does not change them")
+
+    def trials(self) -> Trials:
+        """Return the summary of all seeds."""
+        return summarise([self._done[seed] for seed in self.wanted])
+
+
+def run_batches(batches: Sequence[Batch], jobs: int, cluster: Cluster | None = None) -> Iterator[Batch]:
+    """Run batches with the same processes, and yield each in its turn once it is complete.
+
+    While the last walks of a batch run, the other processes already walk for the next one.
+
+    Raises:
+        ValueError: No jobs.
+        ChangedError: The program has changed since this process first ran trials, so the walks may be by two versions.
+    """
+    if jobs < 1:
+        raise ValueError(f"at least one job expected, found {jobs} jobs")
+    processes = max(cluster.size, 1) if cluster else jobs
+    results = _shared_out(batches, processes) if cluster is None else _on_cluster(batches, cluster)
+    for turn, batch in enumerate(batches):
+        refuse_another_program()
+        batch.announce(processes)
+        while not batch.is_complete:
+            number, result = next(results)
+            batches[number].store(result, processes, f"{batches[number].scenario.name}: " if number != turn else "")
+        yield batch
+    next(results, None)  # ends the processes
+
+
+def _shared_out(batches: Sequence[Batch], processes: int) -> Iterator[tuple[int, Timed]]:
+    """Yield number of the batch and result of each walk."""
+    tasks = [(number, *task) for number, batch in enumerate(batches) for task in batch.tasks]
+    return share_out(_timed, tasks, min(processes, len(tasks)), in_order=False)
+
+
+def _on_cluster(batches: Sequence[Batch], cluster: Cluster) -> Iterator[tuple[int, Timed]]:
+    """Yield number of the batch and result of each walk, one batch after the other: workers are checked for its scenario."""
+    for number, batch in enumerate(batches):
+        if batch.left:
+            tasks, names = [(number, *task) for task in batch.tasks], [f"seed {seed}" for seed in batch.left]
+            of_check = environment(batch.scenario), as_json(batch.scenario)
+            yield from cluster.share_out(_timed, tasks, check_environment, of_check, names)
+
+
 def run_trials(
     scenario: Scenario,
     seeds: Iterable[int],
@@ -137,51 +259,8 @@ def run_trials(
         ConfigError: The ground of a seed cannot be built. No run has begun then.
         ChangedError: The program has changed since this process first ran trials, so new processes would run another version.
     """
-    wanted = sorted(set(seeds))
-    if not wanted or jobs < 1:
-        raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
-    refuse_another_program()
-    scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
-    whole_files.make_folder(out)
-    path, mark = out / "trials.jsonl", fingerprint(scenario)
-    done = _done(path, keep_in, mark, wanted)
-    if done:
-        say(f"{len(done)} of {len(wanted)} seeds are already done; see {keep_in or path}")
-    left = [seed for seed in wanted if seed not in done]
-    check_grounds(scenario, left)
-    successes = sum(one.success for one in done.values())
-    made_by = provenance.commit()
-    results_store.mend(path)
-    tasks = [(run or _run_lockstep, scenario, seed) for seed in left]
-    processes = min(max(cluster.size, 1) if cluster else jobs, len(left))
-    if left:
-        say(f"{scenario.name}: {len(left)} walks, {processes} at a time; a line follows for each walk that ends")
-    elapsed_s: list[float] = []
-    cpu_s: list[float] = []
-    if cluster is not None and left:
-        names = [f"seed {seed}" for seed in left]
-        results = cluster.share_out(_timed, tasks, check_environment, (environment(scenario), as_json(scenario)), names)
-    else:
-        results = share_out(_timed, tasks, processes, in_order=False)
-    for report, walk_s, walk_cpu_s, machine in results:
-        marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
-        if changed := params.changes_in_words(scenario):
-            marks["params"] = changed
-        entry = marks | {"report": reports.as_table(report)}
-        done[report.seed] = Run.read(entry)
-        with whole_files.reported(say):
-            whole_files.append_text(path, json.dumps(entry, ensure_ascii=False) + "\n", durable=True)
-            if keep_in is not None:
-                results_store.keep(keep_in, [done[report.seed]])
-        successes += report.success
-        elapsed_s.append(walk_s)
-        cpu_s.append(walk_cpu_s)
-        to_go_s = float(np.mean(elapsed_s)) * (len(left) - len(elapsed_s)) / processes
-        say(f"{_line(report, len(done), len(wanted), successes)}  took {walk_s:.0f} s{_to_go(to_go_s)}")
-    if sum(cpu_s) < _BUSY * sum(elapsed_s) - 1.0:
-        took = f"a walk took {np.mean(elapsed_s):.0f} s, of which {np.mean(cpu_s):.0f} s of CPU time"
-        say(f"{took}: the machine was busy with other work, which delays results and does not change them")
-    return summarise([done[seed] for seed in wanted])
+    (batch,) = run_batches([Batch(scenario, seeds, out, blind, say, run, keep_in)], jobs, cluster)
+    return batch.trials()
 
 
 def check_grounds(scenario: Scenario, seeds: Iterable[int]) -> None:
@@ -202,11 +281,11 @@ def check_grounds(scenario: Scenario, seeds: Iterable[int]) -> None:
         raise config.ConfigError(f"scenario {scenario.name}", [f"{words}; {next(iter(failed))}"])
 
 
-def _timed(run: Runner, scenario: Scenario, seed: int) -> tuple[Report, float, float, str]:
-    """Run a seed; return its report, the elapsed time [s], the CPU time [s] and the machine."""
+def _timed(number: int, run: Runner, scenario: Scenario, seed: int) -> tuple[int, Timed]:
+    """Run a seed of a batch; return the number of the batch and the result."""
     began_ns, cpu_s = stopwatch_ns(), sum(os.times()[:4])
     report = run(scenario, seed)
-    return report, (stopwatch_ns() - began_ns) * 1e-9, sum(os.times()[:4]) - cpu_s, provenance.machine()
+    return number, Timed(report, (stopwatch_ns() - began_ns) * 1e-9, sum(os.times()[:4]) - cpu_s, provenance.machine())
 
 
 def _to_go(seconds: float) -> str:

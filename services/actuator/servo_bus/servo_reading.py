@@ -1,7 +1,7 @@
 """Readings of servos in physical units, and estimates of what a servo does not measure."""
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from sextant.services.actuator.servo_bus.reading_validation import State
 from sextant.shared.servo.servo_model import Feedback, ServoError, Units
@@ -9,8 +9,12 @@ from sextant.shared.servo.servo_model import Feedback, ServoError, Units
 _LONGEST_NS = 200_000_000  # [ns] between two positions from which a speed is estimated
 
 
-class ServoReading(NamedTuple):
-    """Measurements of one servo; voltage and temperature are NaN if they were not read this time."""
+@dataclass(slots=True)
+class ServoReading:
+    """Measurements of one servo; voltage and temperature are NaN if they were not read this time.
+
+    It is not frozen, because making a frozen one takes three times as long.
+    """
 
     index: int  # in the driver's list of ids
     servo_id: int

@@ -251,3 +251,18 @@ def test_code_change_between_terrains_ends_campaign(tmp_path, monkeypatch):
     code.write_text("one = 1\n")
     campaign.run_campaign(("flat", "stairs"), range(2), 1, tmp_path / "out", run=runner)
     assert _sorted_runs(runner.ran) == [(name, False, seed) for name in ("flat", "stairs") for seed in range(2)]
+
+
+def test_terrains_share_their_processes(tmp_path, monkeypatch):
+    shared, said = [], []
+
+    def share_out(work, tasks, jobs, in_order):
+        shared.append(jobs)
+        return iter([work(*task) for task in (tasks[0], tasks[2], tasks[1], tasks[3])])  # a late walk of the first terrain
+
+    monkeypatch.setattr(trials, "share_out", share_out)
+    found = campaign.run_campaign(("flat", "stairs"), range(2), 2, tmp_path, say=said.append, run=Runner())
+    assert shared == [2]
+    assert [(entry.seeing.scenario, entry.seeing.seeds) for entry in found.entries] == [("flat", (0, 1)), ("stairs", (0, 1))]
+    assert [line.partition("[")[0] for line in said if "took" in line] == ["", "stairs: ", "", ""]
+    assert [line.partition(":")[0] for line in said if "a line follows" in line] == ["flat", "stairs"]
