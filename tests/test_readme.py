@@ -94,6 +94,7 @@ RUN_BY = {
     "benchmarks stages": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
     "benchmarks stages --foothold": "tests/unit/benchmarks/test_bench.py::test_stages_command_writes_timings_and_picture",
     "benchmarks cycle": "tests/unit/benchmarks/test_bench_cycle.py::test_cycle_command_times_standing_and_walking",
+    "benchmarks latency": "tests/unit/benchmarks/test_bench_latency.py::test_latency_command_times_live_walks",
     "benchmarks slow-core": "tests/unit/benchmarks/test_slow_core.py::test_slow_core_command_walks",
     "benchmarks plans": "tests/unit/benchmarks/test_bench.py::test_plans_command_asks_planners_for_the_same_steps",
     "service compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",

@@ -232,6 +232,27 @@ def bench_slow_core(scenario: str, share: float, seed: int, out: str | None, as_
     return told if found.success else FAILED
 
 
+@benchmarks.command("latency")
+@option("--scenario", "course of the walks", "NAME", default="steps")
+@options.count("--runs", 5, "live walks, each with a seed of its own")
+@options.count("--seed", 1000, "seed of the first walk", lowest=0)
+@options.out
+@options.as_json
+def bench_latency(scenario: str, runs: int, seed: int, out: str | None, as_json: bool) -> int:
+    """Measure the time from a depth image to the plan that the legs execute, live."""
+    from benchmarks.robot import latency
+    from sextant.shared.scenario.scenario import load_scenario
+
+    load_scenario(scenario)  # a wrong name is reported before anything starts
+    folder, progress = out_folder(out, "bench-latency"), open_progress(as_json)
+    warm_up(progress)
+    try:
+        found = latency.measure(scenario, range(seed, seed + runs), folder.resolve(), progress.say)
+    except latency.WalkError as error:
+        raise CommandError(str(error)) from None
+    return _tell_bench(latency.in_words(found), latency.to_json(scenario, found), folder / "latency.json", as_json)
+
+
 @benchmarks.command("access")
 @options.count("--messages", 10_000, "messages of each kind")
 @options.out

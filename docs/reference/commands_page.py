@@ -43,7 +43,11 @@ _OF_BENCHMARKS = (
         "servos and faults of the robot",
         ("servos", "bus", "checksums", "cycle", "calibration", "naming", "slow-core", "start", "faults"),
     ),
-    ("system", "the campaign, radio, load and resources", ("campaign", "fleet", "link", "page", "recording", "soak", "size")),
+    (
+        "system",
+        "the campaign, radio, load and resources",
+        ("campaign", "fleet", "latency", "link", "page", "recording", "soak", "size"),
+    ),
 )
 
 

@@ -19,7 +19,7 @@ from benchmarks.campaign.part import load
 from benchmarks.faults import table as fault_table
 from benchmarks.fuzz import table as fuzz_table
 from benchmarks.peers import map_building
-from benchmarks.robot import fleet, link
+from benchmarks.robot import fleet, latency, link
 from sextant.evaluation.theses import planner_table
 from sextant.evaluation.trials import baselines_table, passage_table, results_store, table_text
 from sextant.evaluation.trials.campaign_table import markdown, of_runs
@@ -37,6 +37,7 @@ _TABLES: Mapping[str, Callable[[str], str]] = MappingProxyType(
         "cuts.json": lambda text: link.cuts_in_words(link.cuts_from_json(text)),
         "link_walks.json": lambda text: link.walks_in_words(link.walks_from_json(text)),
         "strangers.json": lambda text: strangers.in_words(strangers.from_json(text)),
+        "latency.json": lambda text: latency.in_words(latency.from_json(text)),
         "fleet.json": lambda text: fleet.in_words(fleet.from_json(text)),
         "fuzz.json": lambda text: fuzz_table.markdown(fuzz_table.from_json(text)),
         "faults.json": _faults,
