@@ -189,7 +189,11 @@ TABLE: tuple[Process, ...] = (
 
 
 ON_ROBOT = frozenset(p.name for p in TABLE if p.side == "device" or p.name in ("actuator", "stop"))  # never on another machine
-_SCANS_AND_MAPS = {"perception", "mapper"}  # they pack arrays, unless their readers run on the same machine
+# Processes that pack arrays, unless these readers run on the same machine.
+_READERS: Mapping[str, frozenset[str]] = {
+    "perception": frozenset(("mapper",)),
+    "mapper": frozenset(("planner", "console")),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,6 +341,8 @@ def commands(
     if simulated_time is not None and not any(p.side == "simulation" for p in processes):
         raise ValueError("simulated time needs the simulator process")
     started = {p.name for p in processes}
+    # Only a robot with a map of its own has its page elsewhere; a base and a simulated robot have it here or nowhere.
+    here = started | ({"console"} if elsewhere or "simulator" in started else set())
     role = role or ("base" if elsewhere else "robot")
     away = (*(("--elsewhere",) if elsewhere else ()), *(("--role", role) if role != "robot" else ()))
     shared_time = () if simulated_time is None else ("--simulated-time", str(simulated_time))
@@ -353,7 +359,7 @@ def commands(
                     *_giving_way(p, chosen),
                     *away,
                     *shared_time,
-                    *(("--unpacked",) if p.name in _SCANS_AND_MAPS and started >= _SCANS_AND_MAPS | {"planner"} else ()),
+                    *(("--unpacked",) if p.name in _READERS and here >= _READERS[p.name] else ()),
                 ),
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),

@@ -8,8 +8,9 @@ A frame is a msgpack header, followed by the raw bytes of the arrays, 8-byte ali
 
 Encoding copies each array once, into the frame. Decoding does not copy: arrays are read-only views of the frame. Packed arrays
 are the exception. Their field [dtype, [length, ...], offset, bytes] refers to a Zstandard frame of the differences along the
-first axis, zigzag coded, with low bytes before high ones; unpacking creates a new array. A sender whose readers run on the same
-machine sends them like other arrays. `schema` is a hash of the message's declaration, so two versions with different
+first axis, zigzag coded, with low bytes before high ones; unpacking creates a new array. Floats and truth values are packed as
+the integers with the same bits: nothing is rounded, and each NaN keeps its bits. A sender whose readers run on the same machine
+sends packed arrays like others. `schema` is a hash of the message's declaration, so two versions with different
 declarations refuse each other's messages instead of misreading them.
 
 Frames are not trusted. Besides the checks of the message class, decoding refuses poses that are not rigid or lie more than
@@ -387,10 +388,10 @@ def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder
 
 def _packed_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder:
     """Return the decoder of a packed array."""
-    code, itemsize = dtype.str, dtype.itemsize
-    if dtype.kind not in "iu":
-        raise TypeError(f"{where}: a packed array of whole numbers expected, found {code}")
-
+    code, itemsize, truth = dtype.str, dtype.itemsize, dtype.kind == "b"
+    if dtype.kind not in "iufb":
+        raise TypeError(f"{where}: a packed array of numbers or truth values expected, found {code}")
+    same_bits = _same_bits(dtype)
     decode_array = _array_decoder(where, dtype, ndim)
 
     def decode_packed(frame: bytes, arrays: int, value: Any) -> Any:
@@ -405,7 +406,10 @@ def _packed_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecode
             raise DecodeError(f"{where}: {length} packed bytes at offset {offset} do not fit the frame")
         if size > _MAX_UNPACKED:
             raise DecodeError(f"{where}: an array of at most {_MAX_UNPACKED} bytes expected, found {size}")
-        return _unpacked(where, frame[begin:end], tuple(shape), dtype, size)
+        unpacked = _unpacked(where, frame[begin:end], tuple(shape), same_bits, size)
+        if truth and unpacked.max(initial=0) > 1:
+            raise DecodeError(f"{where}: truth values of 0 or 1 expected")
+        return unpacked.view(dtype)
 
     return decode_packed
 
@@ -427,12 +431,18 @@ def _count(where: str, code: str, ndim: int, found: str, shape: list[Any]) -> in
 
 def _packed(array: NDArray[Any]) -> bytes:
     """Compress an array as zigzag-coded differences along its first axis."""
+    array = np.ascontiguousarray(array).view(_same_bits(array.dtype))
     steps = np.empty((prod(array.shape[1:]), len(array)), dtype=array.dtype)  # values of one column are similar
     steps.T[:] = array.reshape(steps.shape[::-1])
     steps[:, 1:] -= steps[:, :-1].copy()  # integers wrap around here, and back when unpacked
     signed = steps.view(f"i{array.itemsize}")
     numbers = (signed + signed) ^ (signed >> (8 * array.itemsize - 1))  # 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4
     return _compress(numbers.view(np.uint8).reshape(numbers.size, array.itemsize).T.tobytes())
+
+
+def _same_bits(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type of integers with the size of a type; integers keep their own."""
+    return dtype if dtype.kind in "iu" else np.dtype(f"{dtype.str[0]}u{dtype.itemsize}")
 
 
 def _unpacked(where: str, data: bytes, shape: tuple[int, ...], dtype: np.dtype[Any], size: int) -> NDArray[Any]:

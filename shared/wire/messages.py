@@ -39,8 +39,9 @@ MAX_TREE = 8000  # edges of the search tree that are sent
 class Dims:
     """Shape of an array field: exact lengths, or names of free lengths.
 
-    A name stands for the same length everywhere in one message. A packed integer array is sent as compressed differences along
-    its first axis. An optional array may be empty: all its free lengths are then 0, even if other arrays use the same names.
+    A name stands for the same length everywhere in one message. A packed array is sent as compressed differences along its
+    first axis, without loss. An optional array may be empty: all its free lengths are then 0, even if other arrays use the
+    same names.
     """
 
     shape: tuple[int | str, ...]
@@ -372,21 +373,25 @@ class TerrainMap(Message):
 
     resolution: float  # [m] cell edge
     origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} centre of cell (0, 0)
-    elevation: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] {world}, NaN where never seen
-    variance: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m^2] of elevation, NaN where never seen
-    score: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # 0 is best, above 1 no foothold, NaN unknown
-    assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # filled in at the start, not measured
+    elevation: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False, packed=True)]  # [m] {world}, NaN where never seen
+    variance: Annotated[
+        NDArray[np.float32], Dims("nx", "ny", finite=False, packed=True)
+    ]  # [m^2] of elevation, NaN where never seen
+    score: Annotated[
+        NDArray[np.float32], Dims("nx", "ny", finite=False, packed=True)
+    ]  # 0 is best, above 1 no foothold, NaN unknown
+    assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny", packed=True)]  # filled in at the start, not measured
     # Masri's evaluation function [cells]: -1 and less is a foothold, the lowest is best; 1 and more is the distance to the
     # nearest foothold; 127 is unknown.
-    evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny")]
+    evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny", packed=True)]
     # Empty without a colour camera, as are the next two fields
-    color: Annotated[NDArray[np.uint8], Dims("nx", "ny", 3, optional=True)] = dataclasses.field(
+    color: Annotated[NDArray[np.uint8], Dims("nx", "ny", 3, packed=True, optional=True)] = dataclasses.field(
         default_factory=lambda: _CELLS_WITHOUT_COLOR
     )  # R, G, B
-    hazard: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=len(HAZARDS) - 1)] = dataclasses.field(
-        default_factory=lambda: _NO_CELLS
+    hazard: Annotated[NDArray[np.uint8], Dims("nx", "ny", packed=True, optional=True, most=len(HAZARDS) - 1)] = (
+        dataclasses.field(default_factory=lambda: _NO_CELLS)
     )  # 0 none, 1 water, 2 loose ground, 3 a foot found no ground; a cell with a hazard is no foothold
-    confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=100)] = dataclasses.field(
+    confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", packed=True, optional=True, most=100)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
     )  # [%] probability of the most likely ground type, 0 where unknown
     # (6,) [m] height of the ground as each leg measures it, minus `elevation`

@@ -39,7 +39,7 @@ def test_each_message_section_has_schema_and_ordered_fields(topic: messages.Mess
 @pytest.mark.parametrize(
     ("key", "row"),
     [
-        ("mapper/terrain", "| `variance` | float32 | nx × ny | m^2 |  | of elevation, NaN where never seen; may hold NaN |"),
+        ("mapper/terrain", "| `variance` | float32 | nx × ny | m^2 |  | of elevation, NaN where never seen; may hold NaN, "),
         ("actuator/odometry", "| `T_odom_body` | float64 | 4 × 4 | m | odom | takes body coordinates to odom |"),
         ("operator/velocity", "| `velocity` | float64 | 2 | m/s | body | forward, left |"),
         ("operator/mode", "| `mode` | text |  |  |  | one of `off`, `stop`, `ready`, `stand`, `walk`, `sit` |"),

@@ -169,6 +169,17 @@ def test_arrays_are_packed_only_for_readers_on_other_machines() -> None:
         for role in ("all", "onboard", "offboard")
     }
     assert unpacked == {"all": {"perception", "mapper"}, "onboard": set(), "offboard": set()}
+    base = commands(rows("offboard", True), Choices(), ENDPOINTS, elsewhere=True)
+    assert {c.name for c in base if "--unpacked" in c.arguments} == {"mapper"}, "the page of a robot is on its base"
+
+
+def test_robot_with_its_own_map_packs_it_for_a_page_elsewhere() -> None:
+    with_map = process_table.rearranged(rows("onboard", False), ("mapper", "planner"), (), "onboard")
+    with_page = process_table.rearranged(with_map, ("console",), (), "onboard")
+    unpacked = [
+        {c.name for c in commands(some, Choices(), ENDPOINTS) if "--unpacked" in c.arguments} for some in (with_map, with_page)
+    ]
+    assert unpacked == [{"perception"}, {"perception", "mapper"}]
 
 
 def test_only_recorder_uses_single_malloc_arena() -> None:
