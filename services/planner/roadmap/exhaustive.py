@@ -194,11 +194,15 @@ def _tiles(
     for k, yaws in enumerate(headings):
         window = _window(profile, settings, np.array(field.first_cell), low - high - sway * rules.lattice, yaws)
         level = np.rint(np.where(tile >= 0, field.elevation - high, 0.0) / rules.lattice).astype(np.int64)
-        floors = (window.shape[1] + 1) // 2 + sway
-        places = np.zeros((6, count, *(edge * n + 1 for n in size), _WORDS), dtype=np.uint64)
-        _combine_directions(window, tile, level + (window.shape[1] - 1), first, window.shape[2] // 2, floors, places)
+        lowest, floors = int(level.min()), (len(window) + 1) // 2 + sway
+        over = np.stack(  # any floor
+            [np.bitwise_or.reduce(window[len(window) + n - floors : len(window) + n]) for n in range(lowest, 1)]
+        )
+        places = np.zeros((count, *(edge * n + 1 for n in size), 6 * _WORDS), dtype=np.uint64)
+        _combine_directions(over, np.asarray(over.any(axis=-1)), tile, level - lowest, first, places)
+        by_leg = places.reshape(*places.shape[:3], 6, _WORDS).transpose(3, 0, 1, 2, 4)
         for i, j in product(range(edge + 1 if edge > 1 else 1), repeat=2):  # all corners of the squares
-            out[k] |= places[:, :, i : i + edge * size[0] : edge, j : j + edge * size[1] : edge]
+            out[k] |= by_leg[:, :, i : i + edge * size[0] : edge, j : j + edge * size[1] : edge]
     # 2. The tiles within reach come first in each leg's list.
     reached = out.any(axis=-1)  # (bins, 6, tiles, nx, ny)
     near = np.argsort(~reached, axis=2, kind="stable")[:, :, : int(reached.sum(axis=2).max())]
@@ -236,8 +240,8 @@ def _moves(steps: Array, yaws: Array, edge: int) -> NDArray[np.int64]:
 def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, lowest: float, yaws: Array) -> NDArray[np.uint64]:
     """Return the directions in which a foot is far enough out, for each leg and each foot offset from the body.
 
-    The shape is (6, levels, n, n, words). An offset out of the leg's reach has no direction. Directions at several headings are
-    united.
+    The shape is (levels, n, n, 6 * words). An offset out of the leg's reach has no direction. Directions at several headings
+    are united.
 
     Args:
         profile: The robot.
@@ -253,15 +257,16 @@ def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, low
     k = math.ceil(_FOOT_RANGE_M / rules.lattice)
     lattice = rules.lattice * np.stack(np.meshgrid(*[np.arange(-k, k + 1)] * 2, indexing="ij"), axis=-1)
     off = lattice + corner - rules.lattice * np.floor(corner / rules.lattice + 1e-9)
-    window = np.zeros((6, len(levels), *off.shape[:2], _WORDS), dtype=np.uint64)
+    window = np.zeros((len(levels), *off.shape[:2], 6, _WORDS), dtype=np.uint64)
     centre, found = np.array([rules.centre_x, rules.centre_y]), np.zeros(off.shape[0] * off.shape[1], dtype=np.int64)
-    for yaw, leg, (n, level) in product(yaws, range(6), enumerate(levels)):
+    for yaw in yaws:
         R_strip_body = rotation_z(yaw)[:2, :2]
         bits = _directions(off - R_strip_body @ centre, rules.margin)
-        z = np.full(off.shape[:2], level + rules.foot_radius - rules.height)
-        roadmap_search.landings(legs, leg, np.ascontiguousarray(np.dstack([off @ R_strip_body, z]).reshape(-1, 3)), found)
-        window[leg, n] |= np.where((found == roadmap_search.OK).reshape(off.shape[:2])[..., None], bits, np.uint64(0))
-    return window
+        for leg, (n, level) in product(range(6), enumerate(levels)):
+            z = np.full(off.shape[:2], level + rules.foot_radius - rules.height)
+            roadmap_search.landings(legs, leg, np.ascontiguousarray(np.dstack([off @ R_strip_body, z]).reshape(-1, 3)), found)
+            window[n, :, :, leg] |= np.where((found == roadmap_search.OK).reshape(off.shape[:2])[..., None], bits, np.uint64(0))
+    return window.reshape(*window.shape[:3], -1)
 
 
 def _directions(off: Array, margin: float) -> NDArray[np.uint64]:
@@ -305,37 +310,35 @@ def _label_pieces(carries: NDArray[np.bool_], part: NDArray[np.int16]) -> int:
 @compiled
 def _combine_directions(
     window: NDArray[np.uint64],
+    within_reach: NDArray[np.bool_],
     tile: NDArray[np.int16],
     level: NDArray[np.int64],
     first: NDArray[np.int64],
-    k: int,
-    floors: int,
     out: NDArray[np.uint64],
 ) -> None:
-    """Add the directions of each cell to those of its tile, for each body place within `k` cells.
+    """Add the directions of each cell to those of its tile, for each body place within the window around the cell.
 
     Args:
-        window: Directions by leg, level and offset, see `_window`.
+        window: (levels, n, n, 6 * words) directions by height of the cell and offset from the body, for all legs.
+        within_reach: (levels, n, n) whether any leg has a direction.
         tile: (nx, ny) tile of each cell.
-        level: (nx, ny) height of each cell as a level of the window, for the lowest floor under the body.
+        level: (nx, ny) height of each cell as a level of the window.
         first: (2,) lattice place of cell (0, 0).
-        k: Cells of the window to every side of its middle.
-        floors: Number of heights of the floor, one level apart.
-        out: Directions of the tiles, see `Tiles`; the directions at all possible heights of the floor are united.
+        out: (tiles, nx, ny, 6 * words) directions of the tiles.
     """
+    k = window.shape[1] // 2
     for i in range(tile.shape[0]):
         for j in range(tile.shape[1]):
             t = tile[i, j]
             if t < 0:
                 continue
-            for x in range(max(i + first[0] - k, 0), min(i + first[0] + k + 1, out.shape[2])):
-                for y in range(max(j + first[1] - k, 0), min(j + first[1] + k + 1, out.shape[3])):
-                    for floor in range(floors):
-                        for leg in range(6):
-                            for w in range(out.shape[4]):
-                                out[leg, t, x, y, w] |= window[
-                                    leg, level[i, j] - floor, i + first[0] - x + k, j + first[1] - y + k, w
-                                ]
+            n = level[i, j]
+            for x in range(max(i + first[0] - k, 0), min(i + first[0] + k + 1, out.shape[1])):
+                for y in range(max(j + first[1] - k, 0), min(j + first[1] + k + 1, out.shape[2])):
+                    a, b = i + first[0] - x + k, j + first[1] - y + k
+                    if within_reach[n, a, b]:
+                        for w in range(out.shape[3]):
+                            out[t, x, y, w] |= window[n, a, b, w]
 
 
 @compiled
