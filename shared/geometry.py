@@ -16,6 +16,7 @@ _IDENTITY = np.eye(4)
 _FEW = 64  # points up to which one loop over rows is faster than three over columns
 _NEWTON_STEPS, _NEWTON_END = 50, 1e-15  # most steps for an eigenvalue, and the relative step that ends them
 _WELL_DETERMINED = 1e-3  # [1] smallest relative size of the cofactors that yield an eigenvector
+_SMALL_DEVIATION = 1e-8  # [1] of a rotation times its transpose from one: its square is below the rounding error
 _SMALL_ANGLE = 1e-8  # [rad] below this angle a series replaces sin(x)/x
 
 
@@ -337,6 +338,15 @@ def yaw_of(T: Array) -> float:
 
 def orthonormal(T: Array) -> Array:
     """Return the nearest rigid transform to a (4, 4) matrix with rounding errors."""
+    (a, b, c), (d, e, f), (g, h, i) = T[:3, :3].tolist()
+    # Small deviations of R R^T from one are halved by a Newton step, which leaves their squares.
+    xx, yy, zz = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
+    xy, xz, yz = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if det > 0.0 and max(abs(xx), abs(yy), abs(zz), abs(xy), abs(xz), abs(yz)) < _SMALL_DEVIATION:
+        out = T.copy()
+        out[:3, :3] -= 0.5 * np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ T[:3, :3]
+        return out
     u, _, vt = np.linalg.svd(T[:3, :3])
     return transform(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, T[:3, 3])
 

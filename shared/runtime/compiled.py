@@ -21,6 +21,7 @@ import numpy as np
 from llvmlite import binding
 
 F = TypeVar("F", bound=Callable[..., Any])
+_REORDERED = {"reassoc", "nsz", "contract"}  # what LLVM may do with sums; infinities and NaN keep their meaning
 Group = TypeVar("Group", bound=tuple[Any, ...])
 
 _V3 = frozenset(("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))  # what x86-64-v3 adds to x86-64
@@ -48,11 +49,16 @@ def processor() -> str:
     return os.environ.get("NUMBA_CPU_NAME") or str(binding.get_host_cpu_name())
 
 
-def compiled(function: F) -> F:
+def compiled(function: F, reordered: bool = False) -> F:
     """Compile a function of arrays and scalars on its first call, or load it."""
-    made = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    made = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_REORDERED if reordered else False)(function)
     _take_over(Path(function.__code__.co_filename), Path(str(made.stats.cache_path)))
     return cast(F, made)
+
+
+def compiled_sums(function: F) -> F:
+    """Compile a function whose sums may be computed in any order, so that their loops are vectorised."""
+    return compiled(function, reordered=True)
 
 
 @cache

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
+from sextant.shared.runtime.compiled import compiled
 
 _MOST = 2000  # rays of an image that a message has room for in addition to the scan
 _APART = 16  # [px] between rays of an image; the next image uses pixels between them
@@ -44,18 +45,55 @@ def compute_free_rays(
         (m, 3) [m] {world}
     """
     first = (_STRIDE * image_number) % _APART
-    rows = np.arange(first, depth_raw.shape[0], _APART)
-    columns = np.arange((5 * first + image_number) % _APART, depth_raw.shape[1], _APART)
-    z = depth_raw[first::_APART, columns[0] :: _APART] / sensor.depth_scale
-    x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
-    ray = [R[0] * x + (R[1] * y + R[2])[:, None] for R in T_world_camera[:3, :3]]  # per unit depth, {world}
-    flat = np.maximum(np.sqrt(ray[0] ** 2 + ray[1] ** 2), 1e-9)
-    end = np.minimum(max_range / flat, sensor.max_range)  # depth
-    free = (z >= sensor.min_range) & (z <= sensor.max_range) & (z > end)
-    if count_empty:
-        free |= (z == 0) & _empty(depth_raw)[np.ix_(rows // _BLOCK, columns // _BLOCK)]
-    found = np.column_stack([p + end[free] * along[free] for p, along in zip(T_world_camera[:3, 3], ray, strict=True)])
+    pixels = first, (5 * first + image_number) % _APART
+    lens = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
+    limits = sensor.min_range, sensor.max_range, max_range
+    empty = _empty(depth_raw) if count_empty else np.zeros((0, 0), dtype=np.bool_)
+    found: Array = _ends(depth_raw, sensor.depth_scale, pixels, lens, limits, T_world_camera, empty)
     return found[:: max(math.ceil(len(found) / _MOST), 1)]
+
+
+@compiled
+def _ends(
+    depth: NDArray[np.uint16],
+    depth_scale: float,
+    pixels: tuple[int, int],
+    lens: tuple[float, float, float, float],
+    limits: tuple[float, float, float],
+    T: Array,
+    empty: NDArray[np.bool_],
+) -> Array:
+    """Return the ends (m, 3) [m] {world} of the free rays, row by row.
+
+    Args:
+        depth: (h, w) raw depth.
+        depth_scale: Raw units per metre.
+        pixels: Row and column of the first pixel that is used.
+        lens: Focal lengths and centre [px].
+        limits: [m] smallest and largest depth of the sensor, and the horizontal distance at which rays end.
+        T: (4, 4) pose of the camera.
+        empty: Blocks whose pixels without a return count, or of shape (0, 0).
+    """
+    fx, fy, cx, cy = lens
+    nearest, farthest, reach = limits
+    height, width = depth.shape
+    out = np.empty(((height // _APART + 1) * (width // _APART + 1), 3))
+    n = 0
+    for i in range(pixels[0], height, _APART):
+        y = (i - cy) / fy
+        for j in range(pixels[1], width, _APART):
+            z = depth[i, j] / depth_scale
+            x = (j - cx) / fx
+            # The ray per unit depth, and the depth at which it ends.
+            u = T[0, 0] * x + (T[0, 1] * y + T[0, 2])
+            v = T[1, 0] * x + (T[1, 1] * y + T[1, 2])
+            end = min(reach / max(math.sqrt(u * u + v * v), 1e-9), farthest)
+            beyond = z >= nearest and z <= farthest and z > end
+            if beyond or (z == 0.0 and len(empty) > 0 and empty[i // _BLOCK, j // _BLOCK]):
+                out[n, 0], out[n, 1] = T[0, 3] + end * u, T[1, 3] + end * v
+                out[n, 2] = T[2, 3] + end * (T[2, 0] * x + (T[2, 1] * y + T[2, 2]))
+                n += 1
+    return out[:n]
 
 
 def _empty(depth_raw: NDArray[np.uint16]) -> NDArray[np.bool_]:

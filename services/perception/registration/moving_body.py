@@ -23,17 +23,22 @@ def is_one_body(xy: NDArray[np.float64], gains: NDArray[np.float64], radius: flo
         gains: (n,) decrease of each point's misfit if the camera moved.
         radius: [m] of a body.
     """
-    cells, index = np.unique(np.floor(xy / _CELL_M).astype(np.int64), axis=0, return_inverse=True)
-    net, count = np.bincount(index.ravel(), gains).astype(np.float64), np.bincount(index.ravel())
-    noise = 1.5 * float(np.median(np.abs(gains))) if len(gains) else 0.0
-    speaks = net > _SIGMAS * np.sqrt(count) * noise
+    if not len(gains):
+        return False
+    squares = np.floor(xy / _CELL_M)
+    first = squares.min(axis=0)
+    columns = int(squares[:, 1].max() - first[1]) + 1
+    index = ((squares[:, 0] - first[0]) * columns + squares[:, 1] - first[1]).astype(np.int64)
+    net, count = np.bincount(index, gains).astype(np.float64), np.bincount(index)
+    speaks = net > _SIGMAS * 1.5 * float(np.median(np.abs(gains))) * np.sqrt(count)
     if net[speaks].sum() < _MIN_GAIN:
         return False
+    middles = (first + np.column_stack(np.divmod(np.flatnonzero(speaks), columns)) + 0.5) * _CELL_M
     seen = float(
         np.percentile(np.linalg.norm(xy - np.median(xy, axis=0), axis=1), 90)
     )  # at short range, the visible area itself may be this small
     radius = min(radius, _MAX_VIEW_SHARE * seen)
-    return _is_within(np.asarray((cells[speaks] + 0.5) * _CELL_M, dtype=np.float64), net[speaks], radius)
+    return _is_within(np.asarray(middles, dtype=np.float64), net[speaks], radius)
 
 
 def is_within_body(xy: NDArray[np.float64], radius: float) -> bool:

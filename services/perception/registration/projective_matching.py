@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.perception.registration.block_frame import BlockFrame
-from sextant.shared.runtime.compiled import compiled
+from sextant.shared.runtime.compiled import compiled, compiled_sums
 
 Array = NDArray[Any]  # argument of compiled functions, any numeric type
 
@@ -62,8 +62,9 @@ def match_frame(
     """
     H, g, N, tally = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)), np.zeros(5)
     scale = 1.0 / _CAUCHY**2 if robust else 0.0
+    samples = frame.samples(stride, min(stride, len(chosen)))
     x, y, sigma = frame.x, frame.y, frame.sigma
-    _match(frame.points, stride, x, y, planes, poses, chosen, T_world_camera, sigma, gate, scale, H, g, N, tally)
+    _match(samples, frame.valid, stride, x, y, planes, poses, chosen, T_world_camera, sigma, gate, scale, H, g, N, tally)
     matched, facing, squares, best, off = tally.tolist()
     rmse = math.sqrt(squares / matched) if matched else math.nan
     return Match(H, g, N, len(chosen), best, matched / max(facing, 1.0), rmse, off / max(facing, 1.0))
@@ -178,11 +179,10 @@ def _misfits(
         out[n] = out[n] / faced[n] if faced[n] > 0.0 else np.nan
 
 
-@compiled
+@compiled_sums
 def _accumulate(
     points: Array,
-    start: int,
-    stride: int,
+    tried: int,
     x: Array,
     y: Array,
     planes: Array,
@@ -195,77 +195,72 @@ def _accumulate(
     """Match a frame with one keyframe by projection and sum the normal equations.
 
     The Jacobian with respect to the twist at the keyframe is [pi, p x pi]. A match that is off by k sigma has Cauchy's
-    weight 1 / (1 + scale k^2).
+    weight 1 / (1 + scale k^2). Loops have no branches and 32-bit numbers, so that the compiler can vectorise them; the sums of
+    each pass are added in 64 bits.
 
+    points: (3, m) of which the first `tried` are matched.
     sums: H (36), N (36), g (6), matched points, points facing a plane, squared distances, points that could match, and
     misfit. All points but those facing a block without a plane could match, and at least half of the points count.
     """
     rows, columns = planes.shape[0], planes.shape[1]
-    to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
-    column0, row0 = 0.5 - x[0] * to_column, 0.5 - y[0] * to_row
-    T00, T01, T02, T03 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
-    T10, T11, T12, T13 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
-    T20, T21, T22, T23 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
-    h00 = h01 = h02 = h03 = h04 = h05 = h11 = h12 = h13 = h14 = h15 = 0.0
-    h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = 0.0
-    g0 = g1 = g2 = g3 = g4 = g5 = 0.0
-    matched = facing = rough = tried = 0
-    squares = misfit = 0.0
-    gate2, sigma2, model2 = gate * gate, sigma * sigma, _MODEL_SIGMA * _MODEL_SIGMA
-    N = np.zeros((6, 6))
-    jacobian = np.empty(6)
+    zero, one = np.float32(0.0), np.float32(1.0)
+    to_column, to_row = np.float32(1.0 / (x[1] - x[0])), np.float32(1.0 / (y[1] - y[0]))
+    column0, row0 = np.float32(0.5 - x[0] / (x[1] - x[0])), np.float32(0.5 - y[0] / (y[1] - y[0]))
+    width, height = np.float32(columns), np.float32(rows)
+    T00, T01, T02, T03 = np.float32(T[0, 0]), np.float32(T[0, 1]), np.float32(T[0, 2]), np.float32(T[0, 3])
+    T10, T11, T12, T13 = np.float32(T[1, 0]), np.float32(T[1, 1]), np.float32(T[1, 2]), np.float32(T[1, 3])
+    T20, T21, T22, T23 = np.float32(T[2, 0]), np.float32(T[2, 1]), np.float32(T[2, 2]), np.float32(T[2, 3])
+    gate2, sigma2, scale32 = np.float32(gate * gate), np.float32(sigma * sigma), np.float32(scale)
+    model2, least = np.float32(_MODEL_SIGMA * _MODEL_SIGMA), np.float32(0.05)
     blocks = planes.reshape((rows * columns, 4))
-    px, py, pz = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
-    A, B, C, spread = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
+    px, py, pz = np.empty(_AT_A_TIME, np.float32), np.empty(_AT_A_TIME, np.float32), np.empty(_AT_A_TIME, np.float32)
+    A, B, C = np.empty(_AT_A_TIME, np.float32), np.empty(_AT_A_TIME, np.float32), np.empty(_AT_A_TIME, np.float32)
+    spread, offs, weights = np.empty(_AT_A_TIME, np.float32), np.empty(_AT_A_TIME, np.float32), np.empty(_AT_A_TIME, np.float32)
     at = np.empty(_AT_A_TIME, np.int32)
-    weights, offs, misfits = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
-    for begin in range(start, len(points), stride * _AT_A_TIME):
+    sums[:] = 0.0
+    for begin in range(0, tried, _AT_A_TIME):
         # 1. The block that each point projects to, -1 for none.
-        some = min(_AT_A_TIME, (len(points) - begin + stride - 1) // stride)
-        tried += some
+        some = min(_AT_A_TIME, tried - begin)
+        qx, qy, qz = points[0, begin : begin + some], points[1, begin : begin + some], points[2, begin : begin + some]
         for k in range(some):
-            n = np.uint64(begin + stride * k)
-            A[k], B[k], C[k] = points[n, 0], points[n, 1], points[n, 2]
+            px[k] = T00 * qx[k] + T01 * qy[k] + T02 * qz[k] + T03
+            py[k] = T10 * qx[k] + T11 * qy[k] + T12 * qz[k] + T13
+            pz[k] = T20 * qx[k] + T21 * qy[k] + T22 * qz[k] + T23
         for k in range(some):
-            px[k] = T00 * A[k] + T01 * B[k] + T02 * C[k] + T03
-            py[k] = T10 * A[k] + T11 * B[k] + T12 * C[k] + T13
-            pz[k] = T20 * A[k] + T21 * B[k] + T22 * C[k] + T23
-        for k in range(some):
-            along = 1.0 / pz[k]
+            along = one / pz[k]
             u = px[k] * along * to_column + column0
             v = py[k] * along * to_row + row0
-            inside = (pz[k] >= 0.05) & (u >= 0.0) & (v >= 0.0) & (u < columns) & (v < rows)
-            u, v = u if inside else 0.0, v if inside else 0.0
+            inside = (pz[k] >= least) & (u >= zero) & (v >= zero) & (u < width) & (v < height)
+            u, v = u if inside else zero, v if inside else zero
             at[k] = np.int32(v) * np.int32(columns) + np.int32(u) if inside else np.int32(-1)
         # 2. The plane there: zero where there is none, with a spread of -1 on a rough block.
         for k in range(some):
             plane = blocks[np.uint64(max(at[k], 0))]
-            there = np.float64(at[k] >= 0)
+            there = np.float32(at[k] >= 0)
             A[k], B[k], C[k], spread[k] = there * plane[0], there * plane[1], there * plane[2], there * plane[3]
         # 3. The distance of the point from it, and the weight.
+        matched = facing = rough = squares = misfit = zero
         for k in range(some):
             length2 = A[k] * A[k] + B[k] * B[k] + C[k] * C[k]
-            f = A[k] * px[k] + B[k] * py[k] + C[k] * pz[k] - 1.0
+            f = A[k] * px[k] + B[k] * py[k] + C[k] * pz[k] - one
             f2 = f * f
-            near = (length2 > 0.0) & (f2 <= gate2 * length2)
-            weight = 1.0 / (sigma2 * pz[k] * pz[k] + model2 * length2 + f2 * scale)  # Cauchy's
-            weights[k], offs[k] = weight if near else 0.0, f
-            misfits[k] = f2 * weight if length2 > 0.0 else 0.0
+            there = one if length2 > zero else zero
+            near = there if f2 <= gate2 * length2 else zero
+            weight = one / (sigma2 * pz[k] * pz[k] + model2 * length2 + f2 * scale32)  # Cauchy's
+            weights[k], offs[k] = near * weight, f
+            matched += near
+            facing += there
+            rough += one if spread[k] < zero else zero
+            squares += near * f2 / (length2 if length2 > zero else one)
+            misfit += there * f2 * weight
         # 4. Sum.
+        h00 = h01 = h02 = h03 = h04 = h05 = h11 = h12 = h13 = h14 = h15 = zero
+        h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = zero
+        g0 = g1 = g2 = g3 = g4 = g5 = zero
         for k in range(some):
-            a, b, c, f, weight = A[k], B[k], C[k], offs[k], weights[k]
-            length2 = a * a + b * b + c * c
-            facing += int(length2 > 0.0)
-            misfit += misfits[k]
-            rough += int(spread[k] < 0.0)
-            if weight == 0.0:
-                continue
-            matched += 1
-            squares += f * f / length2
-            j3 = py[k] * c - pz[k] * b
-            j4 = pz[k] * a - px[k] * c
-            j5 = px[k] * b - py[k] * a
-            a0, a1, a2, a3, a4, a5 = weight * a, weight * b, weight * c, weight * j3, weight * j4, weight * j5
+            a, b, c, weight = A[k], B[k], C[k], weights[k]
+            j3, j4, j5 = py[k] * c - pz[k] * b, pz[k] * a - px[k] * c, px[k] * b - py[k] * a
+            a0, a1, a2 = weight * a, weight * b, weight * c
             h00 += a0 * a
             h01 += a0 * b
             h02 += a0 * c
@@ -278,56 +273,57 @@ def _accumulate(
             h14 += a1 * j4
             h15 += a1 * j5
             h22 += a2 * c
-            h23 += a2 * j3
-            h24 += a2 * j4
-            h25 += a2 * j5
+        for k in range(some):
+            a, b, c, f, weight = A[k], B[k], C[k], offs[k], weights[k]
+            j3, j4, j5 = py[k] * c - pz[k] * b, pz[k] * a - px[k] * c, px[k] * b - py[k] * a
+            a3, a4, a5, a6 = weight * j3, weight * j4, weight * j5, weight * f
+            h23 += a3 * c
+            h24 += a4 * c
+            h25 += a5 * c
             h33 += a3 * j3
             h34 += a3 * j4
             h35 += a3 * j5
             h44 += a4 * j4
             h45 += a4 * j5
             h55 += a5 * j5
-            g0 += a0 * f
-            g1 += a1 * f
-            g2 += a2 * f
-            g3 += a3 * f
-            g4 += a4 * f
-            g5 += a5 * f
-            if matched % 16 == 0:
-                # Gradient noise turns pi by e = (1, 0, -x) and (0, 1, -y): add its part of H from every 16th match.
-                noise = 16.0 * weight * spread[k]
-                row, column = at[k] // columns, at[k] % columns
-                for axis in range(2):
-                    if axis == 0:
-                        ex, ey, ez = 1.0, 0.0, -x[column]
-                    else:
-                        ex, ey, ez = 0.0, 1.0, -y[row]
-                    jacobian[0], jacobian[1], jacobian[2] = ex, ey, ez
-                    jacobian[3], jacobian[4] = py[k] * ez - pz[k] * ey, pz[k] * ex - px[k] * ez
-                    jacobian[5] = px[k] * ey - py[k] * ex
-                    for p in range(6):
-                        for q in range(6):
-                            N[p, q] += noise * jacobian[p] * jacobian[q]
-    upper = (
-        (h00, h01, h02, h03, h04, h05),
-        (h01, h11, h12, h13, h14, h15),
-        (h02, h12, h22, h23, h24, h25),
-        (h03, h13, h23, h33, h34, h35),
-        (h04, h14, h24, h34, h44, h45),
-        (h05, h15, h25, h35, h45, h55),
-    )
-    for a in range(6):
-        for b in range(6):
-            sums[6 * a + b] = upper[a][b]
-            sums[36 + 6 * a + b] = N[a, b]
-    sums[72], sums[73], sums[74], sums[75], sums[76], sums[77] = g0, g1, g2, g3, g4, g5
-    sums[78], sums[79], sums[80] = matched, facing, squares
-    sums[81], sums[82] = max(tried - rough, tried / 2), misfit
+            g0 += a6 * a
+            g1 += a6 * b
+            g2 += a6 * c
+            g3 += a6 * j3
+            g4 += a6 * j4
+            g5 += a6 * j5
+        upper = (
+            (h00, h01, h02, h03, h04, h05),
+            (h01, h11, h12, h13, h14, h15),
+            (h02, h12, h22, h23, h24, h25),
+            (h03, h13, h23, h33, h34, h35),
+            (h04, h14, h24, h34, h44, h45),
+            (h05, h15, h25, h35, h45, h55),
+        )
+        for p in range(6):
+            for q in range(6):
+                sums[6 * p + q] += upper[p][q]
+        for p, g in enumerate((g0, g1, g2, g3, g4, g5, matched, facing, squares, -rough, misfit)):
+            sums[72 + p] += g
+        # Gradient noise turns pi by e = (1, 0, -x) and (0, 1, -y): add its part of H from every 16th point.
+        for k in range(0, some, 16):
+            noise = 16.0 * weights[k] * spread[k]
+            if noise <= 0.0:
+                continue
+            row, column = at[k] // columns, at[k] % columns
+            for axis in range(2):
+                ex, ey, ez = 1.0 - axis, float(axis), -(y[row] if axis else x[column])
+                jacobian = (ex, ey, ez, py[k] * ez - pz[k] * ey, pz[k] * ex - px[k] * ez, px[k] * ey - py[k] * ex)
+                for p in range(6):
+                    for q in range(6):
+                        sums[36 + 6 * p + q] += noise * jacobian[p] * jacobian[q]
+    sums[81] = max(sums[81] + tried, tried / 2)
 
 
 @compiled
 def _match(
-    points: Array,
+    samples: Array,
+    valid: int,
     stride: int,
     x: Array,
     y: Array,
@@ -352,7 +348,10 @@ def _match(
         pose = poses[chosen[phase]]
         _relative(pose, T_world_camera, T)
         # Each keyframe is matched with different points, so that together they use most of the points.
-        _accumulate(points, phase % stride, stride, x, y, planes[chosen[phase]], T, sigma, gate, scale, sums)
+        sample = phase % len(samples)
+        _accumulate(
+            samples[sample], (valid - sample + stride - 1) // stride, x, y, planes[chosen[phase]], T, sigma, gate, scale, sums
+        )
         # From the keyframe's axes and origin to world axes at the camera: M = [[R, 0], [-skew(t) R, R]].
         tx, ty = T_world_camera[0, 3] - pose[0, 3], T_world_camera[1, 3] - pose[1, 3]
         tz = T_world_camera[2, 3] - pose[2, 3]

@@ -375,46 +375,76 @@ def _count_points(points: Array, T: Array, cells: Any, noise: float, outside: Ar
 
 
 @compiled
+def _copy_window(cells: Any, row0: int, column0: int, out: Array) -> None:
+    """Copy the lowest and highest point [levels] of known cells from a world cell on; in others the lowest is above."""
+    rows, columns, _ = out.shape
+    for i in range(rows):
+        for j in range(columns):
+            cell = cells[(row0 + i) & (_SIDE - 1), (column0 + j) & (_SIDE - 1)]
+            known = cell.tag == _tag(row0 + i, column0 + j) and cell.seen_around >= 9
+            out[i, j, 0] = cell.low * np.float32(1.0 / _TOLERANCE_M) if known else np.float32(1e9)
+            out[i, j, 1] = cell.high * np.float32(1.0 / _TOLERANCE_M) if known else np.float32(-1e9)
+
+
+@compiled
 def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: float, out: Array) -> None:
     """Write for each place (k, 3) the points on known cells, the fitting points, and the height [m], to `out` (k, 3).
 
-    The height is the one at which the most points fit.
+    The height is the one at which the most points fit. The cells around are copied first, because they are read many times.
     """
     m = len(points)
-    flat = np.empty((m, 3))  # relative to the camera, in world axes
+    # Points relative to the camera in world axes [cells]; what is taken from the ends of a cell's range [levels].
+    x, y, under, over = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32)
+    reach, shift = 0.0, 0.0
     for n in range(m):
-        for a in range(3):
-            flat[n, a] = T[a, 0] * points[n, 0] + T[a, 1] * points[n, 1] + T[a, 2] * points[n, 2]
+        p = points[n]
+        x[n] = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2]) / _RESOLUTION_M
+        y[n] = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2]) / _RESOLUTION_M
+        height = (T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]) / _TOLERANCE_M - _HEIGHT_STEPS
+        slack = 1.0 + noise * p[2] * p[2] / _TOLERANCE_M
+        under[n], over[n] = height + slack, height - slack
+        reach = max(reach, math.hypot(x[n], y[n]))
+    for place in places:
+        shift = max(shift, abs(place[0]), abs(place[1]))
+    half = math.ceil(reach + shift / _RESOLUTION_M) + 2
+    row0, column0 = math.floor(T[0, 3] / _RESOLUTION_M) - half, math.floor(T[1, 3] / _RESOLUTION_M) - half
+    side = np.int32(2 * half)
+    window = np.empty((side, side, 2), np.float32)
+    _copy_window(cells, row0, column0, window)
+    heights = window.reshape(window.size)
+    zero, one, end = np.float32(0.0), np.float32(1.0), np.float32(2 * _HEIGHT_STEPS + 1)
     levels = 2 * _HEIGHT_STEPS + 1
-    begins, ends = np.empty(levels + 1, np.int64), np.empty(levels + 1, np.int64)
+    begins, ends = np.empty(levels + 1, np.int32), np.empty(levels + 1, np.int32)
+    at, begin, stop = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m, np.int32)
+    low, high = np.empty(m, np.float32), np.empty(m, np.float32)
     for k in range(len(places)):
-        c, s = math.cos(places[k, 2]), math.sin(places[k, 2])
-        x0, y0 = T[0, 3] + places[k, 0], T[1, 3] + places[k, 1]
+        c, s = np.float32(math.cos(places[k, 2])), np.float32(math.sin(places[k, 2]))
+        x0 = np.float32((T[0, 3] + places[k, 0]) / _RESOLUTION_M - row0)
+        y0 = np.float32((T[1, 3] + places[k, 1]) / _RESOLUTION_M - column0)
+        for n in range(m):  # positive, so that int() rounds down
+            at[n] = np.int32(x0 + c * x[n] - s * y[n]) * side + np.int32(y0 + s * x[n] + c * y[n])
         begins[:], ends[:] = 0, 0
         known = 0
         for n in range(m):
-            i = math.floor((x0 + c * flat[n, 0] - s * flat[n, 1]) / _RESOLUTION_M)
-            j = math.floor((y0 + s * flat[n, 0] + c * flat[n, 1]) / _RESOLUTION_M)
-            cell = cells[i & (_SIDE - 1), j & (_SIDE - 1)]
-            if cell.tag != _tag(i, j) or cell.seen_around < 9:
-                continue
-            known += 1
-            # The point fits if it is raised by an amount between these two.
-            height = T[2, 3] + flat[n, 2]
-            tolerance = _TOLERANCE_M + noise * points[n, 2] * points[n, 2]
-            first = math.ceil((cell.low - tolerance - height) / _TOLERANCE_M) + _HEIGHT_STEPS
-            last = math.floor((cell.high + tolerance - height) / _TOLERANCE_M) + _HEIGHT_STEPS
-            if last < 0 or first >= levels:
-                continue
-            begins[max(int(first), 0)] += 1
-            ends[min(int(last), levels - 1) + 1] += 1
-        fitting, most, at = 0, -1.0, 0
+            cell = np.uint64(2 * at[n])
+            low[n], high[n] = heights[cell], heights[cell + np.uint64(1)]
+        for n in range(m):
+            # The point fits if it is raised by a number of levels between these two.
+            first, last = np.ceil(low[n] - under[n]), np.floor(high[n] - over[n])
+            known += int(low[n] <= high[n])
+            fits = (last >= zero) & (first < end) & (low[n] <= high[n])
+            begin[n] = np.int32(max(first, zero)) if fits else np.int32(levels)
+            stop[n] = np.int32(min(last + one, end)) if fits else np.int32(levels)
+        for n in range(m):
+            begins[np.uint64(begin[n])] += 1
+            ends[np.uint64(stop[n])] += 1
+        fitting, most, height = 0, -1.0, 0
         for level in range(levels):
             fitting += begins[level] - ends[level]
             # Among equally good heights, prefer the expected one.
             score = fitting - 1e-3 * abs(level - _HEIGHT_STEPS)
             if score > most:
-                most, at = score, level
+                most, height = score, level
         out[k, 0] = known
         out[k, 1] = max(round(most), 0)
-        out[k, 2] = (at - _HEIGHT_STEPS) * _TOLERANCE_M
+        out[k, 2] = (height - _HEIGHT_STEPS) * _TOLERANCE_M

@@ -16,7 +16,7 @@ from sextant.shared.runtime.compiled import as_plain, baseline, compiled, proces
 
 ROOT = Path(__file__).parents[4]
 OURS = ("services", "shared", "evaluation", "deploy")
-COMPILED = ("compiled", "written_into")
+COMPILED = ("compiled", "compiled_sums", "written_into")
 
 
 def borrowed(source: str) -> Iterator[str]:
