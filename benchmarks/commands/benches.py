@@ -79,15 +79,20 @@ def bench_speed(
 @_frames
 @_seeds
 @options.plugin("foothold")
+@option("--anybotics", "folder with checkouts of ANYbotics' elevation_mapping and grid_map, and eigen3, to compile", "DIR")
 @options.out
 @options.as_json
-def bench_stages(frames: int, seeds: range, foothold: str, out: str | None, as_json: bool) -> int:
+def bench_stages(frames: int, seeds: range, foothold: str, anybotics: str | None, out: str | None, as_json: bool) -> int:
     """Compare the times of the mapping stages with other implementations."""
-    from benchmarks.peers import chart, map_stages, timing
+    from benchmarks.peers import anybotics_core, chart, map_stages, timing
 
     options.check_plugin("foothold", foothold)
     folder = out_folder(out, "bench-stages")
-    found = map_stages.stages(seeds, frames, open_progress(as_json).say, foothold)
+    try:
+        core = anybotics_core.build(Path(anybotics), folder.resolve()) if anybotics else None
+    except anybotics_core.BuildError as error:
+        raise CommandError(f"--anybotics: {error}") from None
+    found = map_stages.stages(seeds, frames, open_progress(as_json).say, foothold, core)
     chart.draw(folder / "stages.png", "Mapping stages and other implementations", found.timings, found.missing, found.parts_ms)
     words = f"{timing.in_words(found.timings, found.missing, map_stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
     text = timing.to_json(found.timings, found.missing, parts_ms=found.parts_ms)

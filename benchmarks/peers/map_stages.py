@@ -5,6 +5,7 @@ scan into a map, the map to its score. Each stage is done by Sextant and by the 
 encoding, from the incoming frame to the outgoing layers.
 """
 
+import ctypes
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers import reduction_peers, score_peers
+from benchmarks.peers.anybotics_core import AnyboticsMap
 from benchmarks.peers.map_peer import NumpyGrid
 from benchmarks.peers.scenes import MAPPED
 from benchmarks.peers.score_peers import Layer, Scores
@@ -41,14 +43,17 @@ from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, DepthImage
 
 _Scored = tuple[Layer, NDArray[np.int8] | None]  # score and evaluation function; a plug-in has no such function
 _Score = Callable[[Layer, NDArray[np.int64], ElevationSnapshot], _Scored]
+_Fuse = Callable[[ReducedScan, Array, NDArray[np.float32]], None]  # scan, position of the camera, points of all pixels
 
 SCENES = ("steps", "boxes", "mixed")
 SIZES = (256, 512)  # cells along an edge
 OURS, CHANGED = "Sextant", "Sextant, changes only"
+ANYBOTICS, ANYBOTICS_PIXELS = "elevation_mapping", "elevation_mapping, all pixels"
 HEADINGS = {"agreement": ("agrees %", 1e2, 2), "growth": ("growth", 1.0, 2)}
 _RESOLUTION = 0.01  # [m]
 _WARM = 5  # untimed frames at the start, if there are more
 _STEP = 0.02  # [m] between frames
+_BEYOND = 1.0  # [m] depth beyond the range of scans up to which pixels count
 _COMPARED = 10  # interval, in frames, at which results are compared
 _WEIGHTS, _RULES, _MARGIN = ScoreParams(unknown_clearance=0.02), FootholdMapParams(), Margin(sigmas=0.0)
 _POSE_COVARIANCE = 1e-6 * np.eye(6)  # [m, rad]
@@ -65,7 +70,11 @@ class Measured:
 
 
 def stages(
-    seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None, plugin: str = ""
+    seeds: Sequence[int],
+    frames: int = 100,
+    say: Callable[[str], object] = lambda _: None,
+    plugin: str = "",
+    anybotics: ctypes.CDLL | None = None,
 ) -> Measured:
     """Time the mapping stages.
 
@@ -78,13 +87,14 @@ def stages(
         frames: Frames of a ride.
         say: Called with the progress.
         plugin: Name of a foothold rule that scores the maps, too; empty for none.
+        anybotics: Library of `anybotics_core.build`, whose map is updated, too; None for none.
 
     Raises:
         PluginError: The plug-in failed.
         ValueError: Fewer than three frames.
     """
     keep_memory()  # as in the services' processes
-    at_work = _Races(min(_WARM, frames - 1), plugin)
+    at_work = _Races(min(_WARM, frames - 1), plugin, anybotics)
     with one_core():
         for scene in SCENES:
             for seed in seeds:
@@ -103,8 +113,8 @@ def stages(
 class _Races:
     """All jobs and their results."""
 
-    def __init__(self, warm: int, plugin: str):
-        self._plugin = plugin
+    def __init__(self, warm: int, plugin: str, anybotics: ctypes.CDLL | None):
+        self._plugin, self._anybotics = plugin, anybotics
         self._reduce = Race("reduction", "640x480", warm)
         self._fuse = {n: Race("map update", f"{n}x{n}", warm) for n in SIZES}
         self._score = {n: Race("score chain", f"{n}x{n}", warm) for n in SIZES}
@@ -116,7 +126,8 @@ class _Races:
 
     def start(self, profile: RobotProfile) -> None:
         """Start a ride with empty maps."""
-        camera, reach, most = profile.camera, PerceptionSettings().scan_range, PerceptionSettings().scan_points
+        self._camera = camera = profile.camera
+        reach, most = PerceptionSettings().scan_range, PerceptionSettings().scan_points
 
         def ours(depth: NDArray[np.uint16], T: Array) -> ReducedScan:
             return reduce_scan(
@@ -132,7 +143,12 @@ class _Races:
         for n in SIZES:
             ours_grid, peer = ElevationGrid(n, _RESOLUTION, model), NumpyGrid(n, _RESOLUTION, model)
             self._grids[n] = {OURS: ours_grid, "NumPy": peer}
-            self._fuse[n].start({OURS: _fused_into(ours_grid), "NumPy": _fused_by_numpy(peer)})
+            fused = {OURS: _fused_into(ours_grid), "NumPy": _fused_by_numpy(peer)}
+            if self._anybotics is not None:
+                few, all_ = (AnyboticsMap(self._anybotics, n, _RESOLUTION) for _ in range(2))
+                self._grids[n] |= {ANYBOTICS: few, ANYBOTICS_PIXELS: all_}
+                fused |= {ANYBOTICS: _added_points(few), ANYBOTICS_PIXELS: _added_pixels(all_)}
+            self._fuse[n].start(fused)
             whole, changed = (FootholdLayers((n, n), _RESOLUTION, _MARGIN, _WEIGHTS, _RULES) for _ in range(2))
             ours_scored = {OURS: _Anew(whole, n).layers, CHANGED: _Anew(changed, 0).layers}
             peers_scored = {name: _without_place(peer) for name, peer in scores.items()}
@@ -145,20 +161,31 @@ class _Races:
         """Process one depth frame with all methods."""
         points = self._reduce.run(image.depth, T)
         scan: ReducedScan = points[OURS]
+        pixels = self._pixels(image.depth, T) if self._anybotics is not None else np.zeros((0, 3), np.float32)
         for n in SIZES:
-            self._fuse[n].run(scan, T[:3, 3])
+            self._fuse[n].run(scan, T[:3, 3], pixels)
             grids = self._grids[n]
             snapshot = grids[OURS].snapshot()
             elevation = snapshot.elevation
             layers = self._score[n].run(fill_small_holes(elevation), grids[OURS].low, snapshot)
             if compare:
-                self._agree(self._fuse[n], {OURS: elevation, "NumPy": grids["NumPy"].elevation}, 1e-3 * _SAME_MM)
+                fused = {OURS: elevation, "NumPy": grids["NumPy"].elevation}
+                theirs = [name for name, grid in grids.items() if isinstance(grid, AnyboticsMap)]
+                fused |= {name: grids[name].heights(grids[OURS].low) for name in theirs}
+                self._agree(self._fuse[n], fused, 1e-3 * _SAME_MM)
                 self._agree(self._score[n], {name: _same_where(layers[OURS], both) for name, both in layers.items()}, 0.5)
         if compare:
             maps = {name: _rastered(_points(found), scan.origin) for name, found in points.items()}
             self._agree(self._reduce, maps, 1e-3 * _SAME_MM)
         made = self._whole.run(codec.encode(odometry), codec.encode(image), image.stamp_ns)
         self._made.append(bool(made[OURS]))
+
+    def _pixels(self, depth: NDArray[np.uint16], T_world_camera: Array) -> NDArray[np.float32]:
+        """Return the points (n, 3) [m] {world} of all pixels within the camera's range."""
+        z = depth / self._camera.sensor.depth_scale
+        seen = (depth > 0) & (z < PerceptionSettings().scan_range + _BEYOND)
+        points = self._camera.intrinsics.points(z)[seen] @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+        return points.astype(np.float32)
 
     def end(self) -> None:
         """End the ride."""
@@ -199,13 +226,13 @@ class _Races:
                 self._agreement.setdefault((race.stage, race.case), {}).setdefault(name, []).append(share)
 
 
-def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
+def _fused_into(grid: ElevationGrid) -> _Fuse:
     """Return a function that fuses a scan into Sextant's grid.
 
     The scan is in millimetres, as transmitted.
     """
 
-    def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
+    def fuse(scan: ReducedScan, p_world_camera: Array, _pixels: NDArray[np.float32]) -> None:
         grid.move_to(p_world_camera[:2])
         grid.fuse(
             ValidatedScan.of_millimetres(
@@ -216,15 +243,35 @@ def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
     return fuse
 
 
-def _fused_by_numpy(grid: NumpyGrid) -> Callable[[ReducedScan, Array], None]:
+def _fused_by_numpy(grid: NumpyGrid) -> _Fuse:
     """Return the same function for the peer."""
 
-    def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
+    def fuse(scan: ReducedScan, p_world_camera: Array, _pixels: NDArray[np.float32]) -> None:
         grid.move_to(p_world_camera[:2])
         points = from_millimetres(scan.points, scan.origin)
         grid.fuse(points, scan.count.astype(float), 1e-3 * scan.spread.astype(float), p_world_camera, _POSE_COVARIANCE)
 
     return fuse
+
+
+def _added_points(grid: AnyboticsMap) -> _Fuse:
+    """Return a function that adds the points of a scan to ANYbotics' map."""
+
+    def add(scan: ReducedScan, p_world_camera: Array, _pixels: NDArray[np.float32]) -> None:
+        grid.move_to(p_world_camera[:2])
+        grid.add(from_millimetres(scan.points, scan.origin).astype(np.float32), p_world_camera)
+
+    return add
+
+
+def _added_pixels(grid: AnyboticsMap) -> _Fuse:
+    """Return the same function for all pixels, whose points are given."""
+
+    def add(_scan: ReducedScan, p_world_camera: Array, pixels: NDArray[np.float32]) -> None:
+        grid.move_to(p_world_camera[:2])
+        grid.add(pixels, p_world_camera)
+
+    return add
 
 
 class _Anew:
