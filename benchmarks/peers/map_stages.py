@@ -340,13 +340,14 @@ class _Services:
         mapper = Mapper(profile, MapperSettings(publish_every=1))
         perception.stages, mapper.stages = _CoreStages(), _CoreStages()
         self._now_ns = 0
-        self._mapper = ServiceRunner(mapper, self._done, lambda: self._now_ns)
+        encode = partial(codec.encode, packs=False)
+        self._mapper = ServiceRunner(mapper, self._done, lambda: self._now_ns, encode=encode)
         self._perception = ServiceRunner(
             perception,
             self._to_mapper,
             lambda: self._now_ns,
             wanted=lambda topic: topic is not topics.PREVIEW,
-            encode=partial(codec.encode, packs=False),
+            encode=encode,
         )
         self._layers = b""
 
