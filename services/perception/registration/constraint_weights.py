@@ -25,10 +25,7 @@ def constraint_weights(match: Match) -> tuple[NDArray[np.float64], NDArray[np.fl
         The (6, 6) matrix B of the weighted normal equations, B H and B g, and the unit twists (k, 6) of the directions with
         weight 0.
     """
-    if not match.N.any():
-        return np.zeros((6, 6)), np.eye(6)
-    B, directions, unknown = _weights(match.H, match.N)
-    return INFORMATION_SHARE / match.keyframes * B, directions[unknown]
+    return _weights(match.H, match.N, INFORMATION_SHARE / match.keyframes)
 
 
 @compiled
@@ -102,13 +99,10 @@ def _diagonalize(A: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def _weights(
-    H: NDArray[np.float64], N: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return B of `constraint_weights` before scaling, six unit twists, and which are unknown.
-
-    N must not be zero.
-    """
+def _weights(H: NDArray[np.float64], N: NDArray[np.float64], scale: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return B of `constraint_weights` times a factor, and the unit twists with weight 0; without matches N is zero."""
+    if not N.any():
+        return np.zeros((6, 6)), np.eye(6)
     L, inverse_L = _cholesky(N)
     ratios = _product(_product(inverse_L, H), inverse_L.T)
     U = _diagonalize(ratios)
@@ -121,4 +115,4 @@ def _weights(
         length = np.sqrt(np.sum(directions[k] ** 2))
         for j in range(6):
             directions[k, j] /= length
-    return B, directions, share == 0.0
+    return scale * B, directions[share == 0.0]

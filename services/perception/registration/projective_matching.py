@@ -315,8 +315,12 @@ def _accumulate(
                 ex, ey, ez = 1.0 - axis, float(axis), -(y[row] if axis else x[column])
                 jacobian = (ex, ey, ez, py[k] * ez - pz[k] * ey, pz[k] * ex - px[k] * ez, px[k] * ey - py[k] * ex)
                 for p in range(6):
-                    for q in range(6):
-                        sums[36 + 6 * p + q] += noise * jacobian[p] * jacobian[q]
+                    along = noise * jacobian[p]
+                    for q in range(p, 6):
+                        sums[36 + 6 * p + q] += along * jacobian[q]
+    for p in range(1, 6):
+        for q in range(p):
+            sums[36 + 6 * p + q] = sums[36 + 6 * q + p]
     sums[81] = max(sums[81] + tried, tried / 2)
 
 
