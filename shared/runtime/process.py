@@ -79,7 +79,8 @@ def run(
     faulthandler.enable()
     if arguments.parent:
         end_with(arguments.parent)
-    os.nice(arguments.nice)
+    if not arguments.simulated_time:
+        os.nice(arguments.nice)
     if arguments.urgent and (refused := go_first()):
         logging.warning(refused)
     keep_memory()
@@ -93,6 +94,7 @@ def run(
                 with compile_progress.reported(_PATIENCE_S) if arguments.simulated_time else contextlib.nullcontext():
                     _patiently(lambda: compile_functions(profile, settings))
             if arguments.simulated_time:
+                os.nice(arguments.nice)  # only now: a simulated robot starts once the last service has compiled
                 if arguments.elsewhere:
                     raise ValueError("--simulated-time works on one machine only; remove --elsewhere")
                 stack.enter_context(clock.going_by(simulated_time.SimulatedTime(Path(arguments.simulated_time))))

@@ -21,6 +21,7 @@ from sextant.shared.files.config import ConfigError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime import process, shutdown
 from sextant.shared.runtime.service import Every, Inbox, Stages
+from sextant.shared.runtime.simulated_time import SimulatedTime
 from sextant.shared.wire.messages import Message
 from sextant.shared.wire.transport import Endpoints, TransportError
 
@@ -260,6 +261,20 @@ def test_functions_are_compiled_before_link_opens() -> None:
     assert run(lambda *_: Beating(end_self), [*CONNECT, "--set", "port=3"], compile_functions) == 0
     assert heard == [("phantomx_mk2", Settings(port=3), [])]
     assert len(NoLink.opened) == 1
+
+
+def test_priority_is_lowered_before_compilation_except_in_simulated_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> Beating:
+        raise ConnectionError("no servos")
+
+    heard: list[object] = []
+    monkeypatch.setattr(os, "nice", heard.append)
+    SimulatedTime.create(tmp_path / "time", [])
+    for words in ([], ["--simulated-time", str(tmp_path / "time")]):
+        assert run(fail, [*CONNECT, "--nice", "5", *words], lambda *_: heard.append("compile")) == 1
+    assert heard == [5, "compile", "compile", 5]
 
 
 def test_signal_during_compilation_ends_process_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
