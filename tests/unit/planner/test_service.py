@@ -455,7 +455,7 @@ def test_refused_step_is_shortened_then_tried_with_other_legs() -> None:
     At the end the planner reports that no step is accepted.
     """
     rig = Rig()
-    first, again, *others = refused(rig, 100)
+    first, again, *others = refused(rig, 150)
     np.testing.assert_array_equal(again.touchdown, first.touchdown)
     travel = [p.body_goal[0, 3] for p in (again, *others)]
     other_legs = [bool((p.swing != first.swing).any()) for p in (again, *others)]
@@ -470,7 +470,7 @@ def test_refused_step_is_shortened_then_tried_with_other_legs() -> None:
 
 def test_planner_retries_occasionally_after_all_steps_were_refused() -> None:
     rig = Rig()
-    assert len(refused(rig, 100)) <= 2 * len(SHARES) + 1
+    assert len(refused(rig, 130)) <= 2 * len(SHARES) + 1
     plan = next(p for _ in range(110) for p in rig.plans())
     assert rig.status().state == "blocked"
     rig.begin(plan)
@@ -530,7 +530,7 @@ def test_refused_step_towards_goal_is_not_repeated(monkeypatch: pytest.MonkeyPat
         StepPlanner, "choose", lambda self, at, *more: (blocked, 0) if at[0].command.yaw_rate else choose(self, at, *more)
     )
     monkeypatch.setattr(PathFollower, "lead", lambda *_: MotionCommand((turning, straight), "to a goal"))
-    first, again, *others = refused(rig, 100)
+    first, again, *others = refused(rig, 150)
     np.testing.assert_array_equal(again.touchdown, first.touchdown)
     assert len(others) > 3
     assert any((plan.swing != first.swing).any() for plan in others)
@@ -550,7 +550,7 @@ def test_refused_step_towards_goal_is_not_repeated(monkeypatch: pytest.MonkeyPat
 )
 def test_changed_command_is_tried_immediately_after_refusals(change: dict[str, Any]) -> None:
     rig = Rig()
-    refused(rig, 100)
+    refused(rig, 150)
     assert rig.status().state == "blocked"
     assert rig.command is not None
     rig.command = replace(rig.command, **change)
@@ -561,7 +561,7 @@ def test_changed_command_is_tried_immediately_after_refusals(change: dict[str, A
 
 def test_zero_command_resets_refusals() -> None:
     rig = Rig()
-    refused(rig, 100)
+    refused(rig, 150)
     asked, rig.command = rig.command, VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
     rig.plans(110)
     rig.command = asked
