@@ -77,7 +77,7 @@ class Lines:
             self.say("compiling the inner loops; the first start takes half a minute")
         elif total and done * 4 // total > self._quarters:
             self._quarters = done * 4 // total
-            self.say(f"compiled {done} of {total} functions")
+            self.say(f"compiled {done} of up to {total} functions")
 
     def say(self, text: str) -> None:
         """Write one line."""
@@ -109,7 +109,7 @@ class Terminal:
         """Show how many functions are compiled."""
         from rich.text import Text
 
-        so_far = f": {done} of {total}" if total else ""
+        so_far = f": {done} of up to {total}" if total else ""
         self._show(Text(f"compiling the inner loops{so_far}; the first start takes half a minute", "cyan"))
 
     def say(self, text: str) -> None:

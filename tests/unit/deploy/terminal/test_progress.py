@@ -58,7 +58,7 @@ def test_lines_say_each_quarter_of_the_compiled_functions() -> None:
         lines.compiled(done, 0 if done == 0 else 54)
     first, *quarters = written.getvalue().splitlines()
     assert first == "compiling the inner loops; the first start takes half a minute"
-    assert quarters == [f"compiled {done} of 54 functions" for done in (14, 27, 54)]
+    assert quarters == [f"compiled {done} of up to 54 functions" for done in (14, 27, 54)]
 
 
 def test_progress_table_is_redrawn_below_messages() -> None:
@@ -66,7 +66,7 @@ def test_progress_table_is_redrawn_below_messages() -> None:
     terminal = progress_for(screen)
     assert isinstance(terminal, Terminal)
     terminal.compiled(31, 54)
-    assert screen.lines() == ["compiling the inner loops: 31 of 54; the first start takes half a minute"]
+    assert screen.lines() == ["compiling the inner loops: 31 of up to 54; the first start takes half a minute"]
     terminal.update(RUNNING)
     terminal.say("mapper ended [exit status 1]")
     terminal.update(replace(RUNNING, time_s=2.0))
