@@ -24,7 +24,7 @@ class FootholdRule(Protocol):
     def __call__(self, ground: ElevationMap, /) -> NDArray[np.floating]:
         """Return the score (nx, ny): 0 is best, above 1 is no foothold, NaN is unknown.
 
-        It is called for each published map, some seven times a second, and should take less than 50 ms. No margin is added for
+        It is called for each published map, some 15 times a second, and should take less than 50 ms. No margin is added for
         the uncertainty of map and pose; the parameters of `mapper.footholds` apply to Sextant's own score alone.
         """
         ...
