@@ -72,8 +72,7 @@ class Aligner:
         normal = np.empty((6, 6))
         seen, pull = np.zeros((6, 6)), np.zeros(6)
         # The first step may have to cover the prior's uncertainty and a slip.
-        _, prior = _inverse(information)
-        way = 1.5 * math.sqrt(max(prior[0, 0], prior[1, 1], prior[2, 2])) + params.slip
+        way = 1.5 * math.sqrt(float(np.diag(np.linalg.inv(information))[:3].max())) + params.slip
         step = math.inf  # largest element [m, rad]
         for iteration in range(params.max_iterations):
             gate = min(max(params.gate_near, 2.0 * way), params.gate_far)
@@ -130,36 +129,9 @@ def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -
         raise ValueError(f"a finite (4, 4) prior pose expected, found {T.tolist()}")
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
         raise ValueError(f"a finite (6, 6) prior covariance expected, found shape {covariance.shape}")
-    positive, information = _inverse(covariance)
-    if not positive:
+    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
         raise ValueError("a positive definite prior covariance expected: give every direction some variance")
-    return information
-
-
-@compiled
-def _inverse(A: Array) -> tuple[bool, NDArray[np.float64]]:
-    """Return whether a symmetric (6, 6) matrix is positive definite, and its inverse by Cholesky's factors if it is."""
-    L, out = np.zeros((6, 6)), np.zeros((6, 6))
-    for i in range(6):
-        for j in range(i + 1):
-            rest = A[i, j]
-            for k in range(j):
-                rest -= L[i, k] * L[j, k]
-            if i == j and not rest > 1e-15 * A[i, i]:
-                return False, out
-            L[i, j] = math.sqrt(rest) if i == j else rest / L[j, j]
-    inverse_L = np.zeros((6, 6))
-    for j in range(6):
-        for i in range(j, 6):
-            rest = 1.0 if i == j else 0.0
-            for k in range(j, i):
-                rest -= L[i, k] * inverse_L[k, j]
-            inverse_L[i, j] = rest / L[i, i]
-    for i in range(6):
-        for j in range(6):
-            for k in range(max(i, j), 6):
-                out[i, j] += inverse_L[k, i] * inverse_L[k, j]
-    return True, out
+    return np.asarray(np.linalg.inv(covariance))
 
 
 @compiled
