@@ -30,8 +30,8 @@ from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 from sextant.shared.wire.messages import VelocityCommand
 
-# Shares of the commanded travel, tried in this order. At a ditch with both front feet at its edge, one goes across and the
-# other stays next to its coxa axis: a PhantomX then has room for 1.5 to 4 cm of travel.
+# Shares of the commanded travel, tried in this order. At a ditch with both front feet at its edge, a long step brings the foot
+# that stays too near its coxa axis, and a short one finds no foothold across.
 SHARES = (1.0, 0.7, 0.45, 0.35, 0.25)
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the ground's slope by which the body may lean

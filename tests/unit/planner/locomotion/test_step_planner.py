@@ -135,6 +135,20 @@ def test_stride_is_shortened_towards_edge_before_refusal(make_terrain: Maker) ->
     assert len(set(shares)) > 2
 
 
+@pytest.mark.parametrize("across", [0.145, 0.155, 0.165])
+def test_front_feet_at_the_edge_of_a_ditch_step_across(make_terrain: Maker, across: float) -> None:
+    """A step of 45 % brings the standing front foot too near its coxa axis, one of 25 % finds no foothold across."""
+    feet = np.array(
+        [(0.17, 0.137), (0.17, -0.145), (-0.015, -0.2), (-0.2, -0.152), (-0.226, 0.151), (-0.014, 0.205)]
+    )  # as before a walk over `ditch` was blocked
+    ground = make_terrain(score=lambda x, y: np.where((x > 0.175) & (x < 0.175 + across), np.nan, 0.0), half=1.5)
+    at = standing(command(0.11, lift=0.025), feet=np.column_stack([feet, np.full(6, UP[2])]))
+    found, _ = PLANNER.choose([at, replace(at, swing=~TRIPOD)], ground)
+    assert isinstance(found, PlannedStep), found
+    assert found.touchdown[found.swing, 0].max() > 0.175 + across
+    check_walkable(found, at)
+
+
 def test_reason_is_that_of_full_stride(make_terrain: Maker) -> None:
     nothing = make_terrain(score=lambda x, y: np.full_like(x, np.nan))
     found = PLANNER.plan(standing(), nothing)
