@@ -26,6 +26,7 @@ from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
 from sextant.services.simulator.sensors.renderer import Renderer
+from sextant.shared.files import config
 from sextant.shared.geometry import apply
 from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.service import Service
@@ -194,6 +195,7 @@ LEGS: Mapping[str, Errors] = {
 }
 # Ground on which x, y and yaw are observable everywhere: a displaced robot must relocalize there.
 _SHOWING: Mapping[str, Scene] = {"boxes": MAPPED["boxes"]}
+_DIGITS = 6  # of a figure, after the point
 _FOUND = 0.05  # [m] maximum position error at the end of a ride that has kept or found its position
 
 
@@ -230,7 +232,7 @@ def tables(
             found = sum(result.drift <= _FOUND for result in results)
             table, scene, legs, one = rows[len(out)]
             out.append(Row(table, scene, legs, len(seeds), found, medians(results), one.words()))
-            say(in_words(out[-1:]).splitlines()[2])
+            say(_line(out[-1], _COLUMNS[table]))
             results.clear()
     return out
 
@@ -245,7 +247,7 @@ def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
     """Return median and worst of each figure over rides.
 
     The worst is the largest, for coverage the least. Figures without values are left out. Absolute values are used: a bias has
-    no sign here.
+    no sign here. They are rounded to a millionth, as they are kept.
     """
     rides = list(results)
     out = {}
@@ -253,32 +255,37 @@ def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
         values = np.array([getattr(r, name) for r in rides], dtype=np.float64)
         values = np.abs(values[np.isfinite(values)])
         if len(values):
-            out[name] = float(np.median(values)), float(values.min() if name.endswith("coverage") else values.max())
+            worst = values.min() if name.endswith("coverage") else values.max()
+            out[name] = round(float(np.median(values)), _DIGITS), round(float(worst), _DIGITS)
     return out
 
 
 _COLUMNS = {  # columns of each table: figure -> heading, factor, digits
-    "registration": {"drift": ("drift mm", 1e3, 1), "legs_drift": ("of legs alone mm", 1e3, 0), "refused": ("refused", 1, 0)},
+    "registration": {
+        "drift": ("at the end, mm", 1e3, 1),
+        "legs_drift": ("legs alone, mm", 1e3, 0),
+        "refused": ("frames refused", 1, 0),
+    },
     "maps": {
-        "rmse": ("rmse mm", 1e3, 1),
-        "interior_rmse": ("off edges mm", 1e3, 1),
-        "bias": ("bias mm", 1e3, 1),
-        "edge": ("edges mm", 1e3, 1),
-        "coverage": ("coverage %", 1e2, 1),
+        "rmse": ("rmse, mm", 1e3, 1),
+        "interior_rmse": ("off edges, mm", 1e3, 1),
+        "bias": ("bias, mm", 1e3, 1),
+        "edge": ("edges, mm", 1e3, 1),
+        "coverage": ("coverage, %", 1e2, 1),
         "invented": ("invented cells", 1, 0),
-        "drift": ("drift mm", 1e3, 1),
+        "drift": ("at the end, mm", 1e3, 1),
     },
-    "maps of full frames, compared with maps of scans": {
-        "full_rmse": ("rmse mm", 1e3, 1),
-        "full_interior_rmse": ("off edges mm", 1e3, 1),
-        "full_edge": ("edges mm", 1e3, 1),
-        "full_coverage": ("coverage %", 1e2, 1),
+    "maps of full frames, at the same poses": {
+        "full_rmse": ("rmse, mm", 1e3, 1),
+        "full_interior_rmse": ("off edges, mm", 1e3, 1),
+        "full_edge": ("edges, mm", 1e3, 1),
+        "full_coverage": ("coverage, %", 1e2, 1),
     },
-    "maps of a strip survey, compared with the elevation map": {
-        "model_rmse": ("off edges mm", 1e3, 1),
-        "beside_rmse": ("elevation map mm", 1e3, 1),
-        "normal_deg": ("normals deg", 1, 1),
-        "model_coverage": ("coverage %", 1e2, 1),
+    "maps of a strip survey, compared with the elevation map there": {
+        "model_rmse": ("off edges, mm", 1e3, 1),
+        "beside_rmse": ("elevation map, mm", 1e3, 1),
+        "normal_deg": ("normals, deg", 1, 1),
+        "model_coverage": ("coverage, %", 1e2, 1),
     },
 }
 
@@ -287,39 +294,45 @@ def in_words(rows: Sequence[Row]) -> str:
     """Return the tables as Markdown."""
     lines = []
     varied = any(row.method != SEXTANT for row in rows)
-    wide = max((len(row.method) for row in rows), default=0) + 2
     for table, columns in _COLUMNS.items():
         chosen = [row for row in rows if table.startswith(row.table) and columns.keys() & row.figures.keys()]
         if not chosen:
             continue
-        lines.append(f"{table}, median (worst) of {chosen[0].rides} rides of 2 m")
-        lines.append(
-            f"  {'scene':<15} {'legs':<33}"
-            + varied * f"{'method':<{wide}}"
-            + "".join(f"{heading:>20}" for heading, _, _ in columns.values())
-        )
-        for row in chosen:
-            line = f"  {row.scene:<15} {row.legs:<33}" + varied * f"{row.method:<{wide}}"
-            for name, (_, factor, digits) in columns.items():
-                median, worst = row.figures.get(name, (math.nan, math.nan))
-                words = "-" if math.isnan(median) else f"{factor * median:.{digits}f} ({factor * worst:.{digits}f})"
-                line += f"{words:>20}"
-            lines.append(f"{line}  within {100 * _FOUND:.0f} cm: {row.found}" if table == "registration" else line)
-    return "\n".join(lines)
+        registered = chosen[0].table == table == "registration"
+        headings = ["scene", *registered * ["legs"], *varied * ["method"], *(heading for heading, _, _ in columns.values())]
+        headings += registered * [f"within {100 * _FOUND:.0f} cm"]
+        lines += [f"{table[0].upper()}{table[1:]}; median (worst) of {chosen[0].rides} rides of 2 m:", ""]
+        lines += [f"| {' | '.join(headings)} |", "|---" * len(headings) + "|"]
+        lines += [*(_line(row, columns, registered, varied) for row in chosen), ""]
+    return "\n".join(lines[:-1])
+
+
+def _line(row: Row, columns: Mapping[str, tuple[str, float, int]], registered: bool = True, varied: bool = True) -> str:
+    """Return a row of a table; with the legs and the rides that are found if it is one of registration."""
+    cells = [row.scene, *registered * [row.legs], *varied * [row.method]]
+    for name, (_, factor, digits) in columns.items():
+        median, worst = row.figures.get(name, (math.nan, math.nan))
+        cells.append("-" if math.isnan(median) else f"{factor * median:.{digits}f} ({factor * worst:.{digits}f})")
+    cells += registered * [f"{row.found} of {row.rides}"]
+    return f"| {' | '.join(cells)} |"
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """Content of a file of `to_json`."""
+
+    rows: tuple[Row, ...]
 
 
 def to_json(rows: Sequence[Row]) -> str:
     """Return the tables as JSON; lengths in metres."""
-    plain = [
-        {
-            "table": row.table,
-            "scene": row.scene,
-            "legs": row.legs,
-            "method": row.method,
-            "rides": row.rides,
-            "found": row.found,
-            **{name: {"median": round(m, 6), "worst": round(w, 6)} for name, (m, w) in row.figures.items()},
-        }
-        for row in rows
-    ]
-    return json.dumps(plain, indent=1) + "\n"
+    return json.dumps(config.as_table(rows), indent=1) + "\n"
+
+
+def from_json(text: str) -> list[Row]:
+    """Return the rows of `to_json`.
+
+    Raises:
+        ConfigError: It is another table.
+    """
+    return list(config.build({"rows": json.loads(text)}, _Kept, "accuracy.json").rows)

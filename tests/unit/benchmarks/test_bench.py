@@ -6,11 +6,14 @@ Trajectories have the requested errors, and tables contain the measured values.
 import json
 import math
 import os
-from dataclasses import replace
+import re
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from benchmarks import cli
 from benchmarks.peers import (
@@ -31,6 +34,7 @@ from sextant.services.perception import tum
 from sextant.services.perception.config import Settings
 from sextant.services.perception.registration.projective_icp import Registration
 from sextant.services.simulator.physics.terrain import Terrain
+from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import PassageMap, TerrainMap
@@ -110,11 +114,43 @@ def test_accuracy_table_shows_median_and_worst() -> None:
     assert figures["coverage"] == pytest.approx((0.98, 0.96))
     assert "edge" not in figures  # no trajectory has one
     rows = [accuracy.Row("maps", "flat", "5 % wrong", 5, 4, figures)]
-    assert "maps, median (worst) of 5 rides" in accuracy.in_words(rows)
-    assert "maps of a strip survey" not in accuracy.in_words(rows)  # there was no survey
+    assert "Maps; median (worst) of 5 rides" in accuracy.in_words(rows)
+    assert "Maps of a strip survey" not in accuracy.in_words(rows)  # there was no survey
     surveyed = accuracy.Row("maps", "flat", "5 % wrong", 5, 5, {"normal_deg": (0.5, 0.7), "model_coverage": (0.98, 0.96)})
     assert "0.5 (0.7)" in accuracy.in_words([surveyed])
-    assert json.loads(accuracy.to_json(rows))[0]["drift"] == {"median": 0.002, "worst": 0.004}
+    assert json.loads(accuracy.to_json(rows))[0]["figures"]["drift"] == [0.002, 0.004]
+
+
+FIGURES = st.dictionaries(
+    st.sampled_from([field.name for field in fields(accuracy.RideResult)]), st.tuples(st.floats(0.0, 9.0), st.floats(0.0, 9.0))
+)
+ROWS = st.builds(
+    accuracy.Row,
+    st.sampled_from(["registration", "maps"]),
+    st.sampled_from(list(SCENES)),
+    st.sampled_from(list(accuracy.LEGS)),
+    st.integers(1, 99),
+    st.integers(0, 99),
+    FIGURES,
+    st.sampled_from([accuracy.SEXTANT, "a plug-in"]),
+)
+
+
+@given(st.lists(ROWS, max_size=6))
+def test_kept_accuracy_gives_the_same_tables(rows: list[accuracy.Row]) -> None:
+    assert accuracy.from_json(accuracy.to_json(rows)) == rows
+    assert accuracy.in_words(accuracy.from_json(accuracy.to_json(rows))) == accuracy.in_words(rows)
+
+
+def test_kept_accuracy_is_checked() -> None:
+    row = accuracy.Row("maps", "flat", "5 % wrong", 5, 4, {"drift": (0.002, 0.004)})
+    for right, wrong, said in (
+        ('"rides": 5', '"rides": "5"', "rows[0].rides: a whole number expected, found '5'"),
+        ("0.004", "NaN", "a finite number expected, found nan"),
+        ('"found"', '"lost"', "lost: unknown key"),
+    ):
+        with pytest.raises(ConfigError, match=re.escape(said)):
+            accuracy.from_json(accuracy.to_json([row]).replace(right, wrong))
 
 
 def test_accuracy_command_writes_tables(
@@ -132,7 +168,7 @@ def test_accuracy_command_writes_tables(
     assert len(rows) == (len(REGISTERED) + 1) * len(accuracy.LEGS) + len(MAPPED)
     assert all(row["found"] == 2 for row in rows)
     assert len(asked) == 2 * len(rows)
-    assert rows[0]["drift"] == {"median": 0.003, "worst": 0.004}
+    assert rows[0]["figures"]["drift"] == [0.003, 0.004]
     assert "3.0 (4.0)" in capsys.readouterr().out
     plugin = ("--registration", "tests.support.plugins:Shifted", "--set", "mapper.publish_every=2")
     assert cli.main(["accuracy", "--seeds", "1000:1001", "--out", str(tmp_path), *plugin]) == 0
