@@ -67,12 +67,12 @@ def bench_speed(
     options.check_plugin("registration", registration)
     folder, say_progress = out_folder(out, "bench-speed"), open_progress(as_json).say
     if recording is not None:
-        timings, missing = registration_speed.on_recording(Path(recording), say_progress, registration, only)
+        found = registration_speed.on_recording(Path(recording), say_progress, registration, only)
     else:
-        timings, missing = registration_speed.registration(seeds, frames, say_progress, registration, only)
-    chart.draw(folder / "speed.png", "Registration and other implementations", timings, missing)
-    words, text = timing.in_words(timings, missing, registration_speed.HEADINGS), timing.to_json(timings, missing)
-    return _tell_bench(words, text, folder / "speed.json", as_json)
+        found = registration_speed.registration(seeds, frames, say_progress, registration, only)
+    chart.draw(folder / "speed.png", "Registration and other implementations", found.timings, found.missing)
+    words = timing.in_words(found, registration_speed.HEADINGS)
+    return _tell_bench(words, timing.to_json(found), folder / "speed.json", as_json)
 
 
 @benchmarks.command("stages")
@@ -94,9 +94,7 @@ def bench_stages(frames: int, seeds: range, foothold: str, anybotics: str | None
         raise CommandError(f"--anybotics: {error}") from None
     found = map_stages.stages(seeds, frames, open_progress(as_json).say, foothold, core)
     chart.draw(folder / "stages.png", "Mapping stages and other implementations", found.timings, found.missing, found.parts_ms)
-    words = f"{timing.in_words(found.timings, found.missing, map_stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
-    text = timing.to_json(found.timings, found.missing, parts_ms=found.parts_ms)
-    return _tell_bench(words, text, folder / "stages.json", as_json)
+    return _tell_bench(map_stages.in_words(found), timing.to_json(found), folder / "stages.json", as_json)
 
 
 @benchmarks.command("maps")
@@ -124,10 +122,7 @@ def bench_passage(seeds: range, out: str | None, as_json: bool) -> int:
     folder = out_folder(out, "bench-passage")
     found = passage.measure(seeds, say=open_progress(as_json).say)
     chart.draw(folder / "passage.png", "Passage planner and other implementations", found.timings, found.missing)
-    words = f"{timing.in_words(found.timings, found.missing, passage.HEADINGS)}\n{passage.in_words(found)}"
-    sections = passage.sections_for_scripts(found)
-    text = timing.to_json(found.timings, found.missing, sections=sections, wrong=found.wrong)
-    return _tell_bench(words, text, folder / "passage.json", as_json)
+    return _tell_bench(passage.in_words(found), timing.to_json(found), folder / "passage.json", as_json)
 
 
 @benchmarks.command("plans")
@@ -150,9 +145,8 @@ def bench_plans(scenario: tuple[str, ...], seeds: range, requests: int, planner:
     courses = [load_scenario(name) for name in dict.fromkeys(scenario) or step_plans.COURSES]
     options.check_plugin("planner", planner)
     folder = out_folder(out, "bench-plans")
-    timings = step_plans.measure(courses, seeds, requests, planner, open_progress(as_json).say)
-    words, text = timing.in_words(timings, [], step_plans.HEADINGS), timing.to_json(timings, [])
-    return _tell_bench(words, text, folder / "plans.json", as_json)
+    found = step_plans.measure(courses, seeds, requests, planner, open_progress(as_json).say)
+    return _tell_bench(timing.in_words(found, step_plans.HEADINGS), timing.to_json(found), folder / "plans.json", as_json)
 
 
 @benchmarks.command("cycle")

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers import reduction_peers, score_peers
+from benchmarks.peers import reduction_peers, score_peers, timing
 from benchmarks.peers.anybotics_core import AnyboticsMap
 from benchmarks.peers.map_peer import NumpyGrid
 from benchmarks.peers.scenes import MAPPED
 from benchmarks.peers.score_peers import Layer, Scores
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, ride
-from benchmarks.peers.timing import Race, Timing, held_against_first, installed, one_core
+from benchmarks.peers.timing import Race, held_against_first, installed, one_core
 from sextant.services.mapper.config import Settings as MapperSettings
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, ElevationSnapshot
 from sextant.services.mapper.elevation.fusion import FusionModel
@@ -49,7 +49,7 @@ SCENES = ("steps", "boxes", "mixed")
 SIZES = (256, 512)  # cells along an edge
 OURS, CHANGED = "Sextant", "Sextant, changes only"
 ANYBOTICS, ANYBOTICS_PIXELS = "elevation_mapping", "elevation_mapping, all pixels"
-HEADINGS = {"agreement": ("agrees %", 1e2, 2), "growth": ("growth", 1.0, 2)}
+HEADINGS = {"agreement": ("agrees, %", 1e2, 2), "growth": ("growth", 1.0, 2)}
 _RESOLUTION = 0.01  # [m]
 _WARM = 5  # untimed frames at the start, if there are more
 _STEP = 0.02  # [m] between frames
@@ -60,13 +60,17 @@ _POSE_COVARIANCE = 1e-6 * np.eye(6)  # [m, rad]
 _SAME_MM, _SAME_SCORE = 2.0, 0.01  # tolerances for equal results
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured(timing.Measured):
     """All results."""
 
-    timings: list[Timing]
-    missing: list[str]  # what could not be timed, and why
     parts_ms: dict[str, float]  # stage -> median of its time between frame and layers
+
+
+def in_words(measured: Measured) -> str:
+    """Return the timings as Markdown, and the parts of the time from frame to layers in one line."""
+    parts = ", ".join(f"{name} {ms:.2f} ms" for name, ms in measured.parts_ms.items())
+    return f"{timing.in_words(measured, HEADINGS)}\nFrame to layers: {parts}."
 
 
 def stages(
@@ -211,7 +215,8 @@ class _Races:
         names = dict.fromkeys(name for parts in self._parts for name in parts)
         parts = {name: float(np.median([p[name] for p in self._parts if name in p])) for name in names}
         whole = float(np.median(self._whole.ms(OURS)))
-        return Measured(out, self._missing, {**parts, "codec and the rest": max(0.0, whole - sum(parts.values()))})
+        parts["codec and the rest"] = max(0.0, whole - sum(parts.values()))
+        return Measured(timings=tuple(out), missing=tuple(self._missing), parts_ms=parts)
 
     def _agree(self, race: Race, layers: Mapping[str, Array], same: float) -> None:
         """Record the share of cells on which each peer agrees with Sextant.

@@ -6,18 +6,18 @@
 3. Every plan of the first two is validated by the checker.
 """
 
-import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.peers import timing
 from benchmarks.peers.passage_checker import violations
 from benchmarks.peers.passage_ompl import BodyPlanner
 from benchmarks.peers.passage_peer import NumpyTests
 from benchmarks.peers.passage_strips import BEYOND, GAP, NEAR, START, heights, random_blocks, thesis_blocks
-from benchmarks.peers.timing import Race, Timing, installed, one_core
+from benchmarks.peers.timing import Race, installed, one_core
 from sextant.evaluation.baselines.masri_planner import Crossing, MasriPlanner
 from sextant.evaluation.scoring.passage_truth import stance_at
 from sextant.evaluation.whole_maps.strip import strip_of
@@ -33,6 +33,20 @@ from sextant.shared.robot.profiles import load_profile
 OURS, MASRI = "Sextant", "Masri 2016"
 CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")
 HEADINGS = {"per_s": ("per second", 1.0, 0)}
+_COLUMNS = (
+    "crossing",
+    "planner",
+    "solved",
+    "centre of mass leaves its feet",
+    "ms, median",
+    "p99",
+    "n_g",
+    "n_e",
+    "steps",
+    "edge, cm",
+    "least margin, cm",
+    "plans with an error",
+)
 HEIGHT = 0.105  # [m] of the body
 Y, LENGTH, SHIFT, TWO = (
     0.16,
@@ -58,21 +72,19 @@ class Section:
     ms_p99: float
     generated: float  # n_g of a search, median; Masri's planner makes three for a crossing
     expanded: float  # n_e of a search, median
-    steps: float  # median of all crossings
-    edge_m: float  # median distance of footholds in the gap to the nearest edge of their surface
-    margin_m: float  # minimum support margin of all steps
     outside: int  # crossings in which the centre of mass leaves its standing feet
     violations: int  # plans with a violation
+    steps: float | None = None  # median of all crossings, if there are any
+    edge_m: float | None = None  # median distance of footholds in the gap to the nearest edge of their surface
+    margin_m: float | None = None  # minimum support margin of all steps
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured(timing.Measured):
     """All results."""
 
-    timings: list[Timing]
-    missing: list[str]
-    sections: list[Section]
-    wrong: list[str]  # violations found by the checker, as text
+    sections: tuple[Section, ...]
+    wrong: tuple[str, ...]  # violations of our plans that the checker found, as text
 
 
 def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[str], object] = lambda _: None) -> Measured:
@@ -105,7 +117,9 @@ def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[st
             timings += race.timings({})
             say(f"passage: {case} done")
     rates = {name: {"per_s": 1e3 * _STANCES / float(np.median(expansion.ms(name)))} for name in (OURS, "NumPy")}
-    return Measured(expansion.timings(rates) + timings, missing, sections, wrong)
+    return Measured(
+        timings=(*timings, *expansion.timings(rates)), missing=tuple(missing), sections=tuple(sections), wrong=tuple(wrong)
+    )
 
 
 def ground(case: str, seed: int) -> StripMap:
@@ -119,32 +133,20 @@ def ground(case: str, seed: int) -> StripMap:
 
 
 def in_words(measured: Measured) -> str:
-    """Return the sections as Markdown."""
-    columns = (
-        ("solved", 10),
-        ("ms median", 11),
-        ("p99", 8),
-        ("n_g", 8),
-        ("n_e", 8),
-        ("steps", 7),
-        ("edge cm", 9),
-        ("margin cm", 11),
-        ("outside", 9),
-    )
-    head = "".join(f"{name:>{width}}" for name, width in columns)
-    lines = [f"{'crossing':<16}{'planner':<12}{head}{'checked':>9}{'wrong':>7}"]
+    """Return the plans and the timings as Markdown."""
+    lines = [f"| {' | '.join(_COLUMNS)} |", "|---" * len(_COLUMNS) + "|"]
     for s in measured.sections:
-        solved = f"{s.solved}/{s.plans}"
-        lines.append(
-            f"{s.case:<16}{s.planner:<12}{solved:>10}{s.ms_median:>11.1f}{s.ms_p99:>8.0f}{s.generated:>8.0f}{s.expanded:>8.0f}{s.steps:>7.0f}"
-            f"{s.edge_m * 100:>9.1f}{s.margin_m * 100:>11.1f}{s.outside:>9}{s.checked:>9}{s.violations:>7}"
-        )
-    return "\n".join(lines + [f"wrong: {words}" for words in measured.wrong])
+        numbers = (s.ms_median, 1), (s.ms_p99, 0), (s.generated, 0), (s.expanded, 0), (s.steps, 0)
+        cells = [f"{s.solved} of {s.plans}", f"in {s.outside} of {s.solved}", *(_shown(*one) for one in numbers)]
+        cells += [_shown(s.edge_m, 1, 100.0), _shown(s.margin_m, 1, 100.0), f"{s.violations} of {s.checked}"]
+        lines.append(f"| {' | '.join([s.case, s.planner, *cells])} |")
+    lines += ["", *(f"Error in a plan of ours: {words}." for words in measured.wrong)]
+    lines += [*bool(measured.wrong) * [""], timing.in_words(measured, HEADINGS)]
+    return "\n".join(lines)
 
 
-def sections_for_scripts(measured: Measured) -> list[dict[str, object]]:
-    """Return the sections as JSON values."""
-    return [json.loads(json.dumps(asdict(section))) for section in measured.sections]
+def _shown(value: float | None, digits: int, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{factor * value:.{digits}f}"
 
 
 def _planned_by(roadmap: Roadmap) -> Callable[[StripMap, Stance, float], object]:
@@ -239,9 +241,9 @@ def _section(case: str, planner: str, ms: Array, tried: Sequence[_Tried]) -> Sec
         ms_p99=float(np.percentile(ms, 99)),
         generated=generated,
         expanded=expanded,
-        steps=float(np.median([len(one.steps) for one in crossings])) if crossings else np.nan,
-        edge_m=float(np.median(edges)) if edges else np.nan,
-        margin_m=min(least, default=np.nan),
+        steps=float(np.median([len(one.steps) for one in crossings])) if crossings else None,
+        edge_m=float(np.median(edges)) if edges else None,
+        margin_m=min(least, default=None),
         outside=sum(margin < 0.0 for margin in least),
         violations=sum(bool(one.wrong) for one in tried),
     )

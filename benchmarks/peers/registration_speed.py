@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.peers.registration_peers import METHODS
 from benchmarks.peers.scenes import REGISTERED
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
-from benchmarks.peers.timing import Race, Timing, installed, one_core
+from benchmarks.peers.timing import Measured, Race, Timing, installed, one_core
 from sextant.evaluation.replay.sequence import HAND_DECAY_S, hand_held_settings, profile_for
 from sextant.services.perception import tum
 from sextant.services.perception.config import Settings
@@ -29,7 +29,7 @@ from sextant.shared.robot.profile import RobotProfile
 _WARM = 5  # untimed frames at the start, if there are more
 _STEP = 0.02  # [m] between frames
 _BELIEF = Settings()  # covariance model of the odometry
-HEADINGS = {"rms_m": ("rms mm", 1e3, 1), "drift_m": ("drift mm", 1e3, 1), "mean_ms": ("mean ms", 1.0, 1)}
+HEADINGS = {"drift_m": ("at the end, mm", 1e3, 1), "rms_m": ("rms, mm", 1e3, 1), "mean_ms": ("mean ms", 1.0, 1)}
 
 
 class _OnRide:
@@ -68,12 +68,11 @@ def registration(
     say: Callable[[str], object] = lambda _: None,
     plugin: str = "",
     only: str = "",
-) -> tuple[list[Timing], list[str]]:
+) -> Measured:
     """Time all methods of registration on all scenes.
 
-    Return the timings, and which methods cannot be timed and why. The figures are the median over the seeds of the position
-    error, `rms_m` [m] of all frames and `drift_m` [m] at the end, and `mean_ms`, the mean time of a frame. A plug-in is one
-    more method. `only` selects peers by a part of their name.
+    The figures are the median over the seeds of the position error, `rms_m` [m] of all frames and `drift_m` [m] at the end, and
+    `mean_ms`, the mean time of a frame. A plug-in is one more method. `only` selects peers by a part of their name.
 
     Raises:
         PluginError: The plug-in failed.
@@ -98,12 +97,10 @@ def registration(
                     errors.setdefault(name, []).append((error.rms, error.final))
                 say(f"registration: {scene}, seed {seed} done")
             out += race.timings(_figures(errors, race))
-    return out, missing
+    return Measured(timings=tuple(out), missing=tuple(missing))
 
 
-def on_recording(
-    folder: Path, say: Callable[[str], object] = lambda _: None, plugin: str = "", only: str = ""
-) -> tuple[list[Timing], list[str]]:
+def on_recording(folder: Path, say: Callable[[str], object] = lambda _: None, plugin: str = "", only: str = "") -> Measured:
     """Time all methods of registration on a recording in the TUM layout.
 
     The settings are those of `sextant recording replay`. Errors are those of the positions after a rigid alignment of the whole
@@ -133,7 +130,7 @@ def on_recording(
     for name, method in in_hand.items():
         error = trajectory_error(np.array(method.poses)[known], np.array([truth[k] for k in known]))
         errors[name] = [(error.rms, error.final)]
-    return race.timings(_figures(errors, race)), missing
+    return Measured(timings=tuple(race.timings(_figures(errors, race))), missing=tuple(missing))
 
 
 def _methods(

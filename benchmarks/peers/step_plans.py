@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.peers.timing import Race, Timing, one_core
+from benchmarks.peers.timing import Measured, Race, Timing, one_core
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.services.actuator.config import Settings as ActuatorSettings
 from sextant.services.actuator.safety.plan_validation import PlanCheck
@@ -27,7 +27,7 @@ from sextant.shared.wire.messages import StepPlan, VelocityCommand
 
 OURS = "Sextant"
 COURSES = ("steps", "rubble", "stepping_stones")  # by default
-HEADINGS = {"solved": ("solved %", 100.0, 1), "accepted": ("accepted %", 100.0, 1), "travel_mm": ("travel mm", 1.0, 1)}
+HEADINGS = {"solved": ("solved, %", 100.0, 1), "accepted": ("accepted, %", 100.0, 1), "travel_mm": ("travel, mm", 1.0, 1)}
 _WALK_NS = 250_000_000  # [ns] simulated time between two looks whether the walk is over
 _LIMIT_NS = 60_000_000_000  # [ns] simulated time of a walk
 
@@ -72,7 +72,7 @@ def measure(
     count: int,
     plugin: str = "",
     say: Callable[[str], object] = lambda _: None,
-) -> list[Timing]:
+) -> Measured:
     """Compare step planners.
 
     Figures: `solved`, share of the requests with a step; `accepted`, share of these steps that the actuator would execute;
@@ -105,7 +105,7 @@ def measure(
                     judge.note(request, race.run(request))
                 say(f"plans: {scenario.name}, seed {seed} done, {len(requests)} requests")
             out += race.timings(judge.figures())
-    return out
+    return Measured(timings=tuple(out))
 
 
 def requests_of(scenario: Scenario, seed: int, count: int) -> list[StepRequest]:

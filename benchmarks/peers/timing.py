@@ -9,15 +9,16 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 
+from sextant.shared.files import config
 from sextant.shared.geometry import Array
 
 # fmt: off
@@ -44,6 +45,15 @@ class Spread:
         p10, median, p90 = np.percentile(values, [10, 50, 90]).tolist()
         return cls(median, p10, p90)
 
+    @property
+    def words(self) -> str:
+        """Text with three digits."""
+        return f"{_shown(self.median)} ({_shown(self.p10)} to {_shown(self.p90)})"
+
+
+def _shown(value: float) -> str:
+    return f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f}"
+
 
 @dataclass(frozen=True, slots=True)
 class Timing:
@@ -54,7 +64,8 @@ class Timing:
     method: str
     ms: Spread
     ratio: Spread  # its time relative to that of the first method of the job, input by input
-    figures: Mapping[str, float] = field(default_factory=dict)  # further figures, with units in their names
+    inputs: int  # that were timed
+    figures: dict[str, float] = field(default_factory=dict)  # further figures, with units in their names
 
 
 class Race:
@@ -106,7 +117,10 @@ def held_against_first(
 ) -> list[Timing]:
     """Compare times (n,) [ms] of several methods at the same n inputs."""
     first = next(iter(ms.values()))
-    return [Timing(stage, case, name, Spread.of(t), Spread.of(t / first), figures.get(name, {})) for name, t in ms.items()]
+    return [
+        Timing(stage, case, name, Spread.of(t), Spread.of(t / first), len(t), dict(figures.get(name, {})))
+        for name, t in ms.items()
+    ]
 
 
 @contextmanager
@@ -162,45 +176,60 @@ def machine() -> dict[str, str]:
     return out
 
 
-def machine_in_words() -> str:
-    """Return a description of the machine in one line."""
-    about = machine()
+def machine_in_words(about: Mapping[str, str] | None = None) -> str:
+    """Return a description of this machine, or of another by its `machine`, in one line."""
+    about = about or machine()
     return f"{about['processor']}, one core, Python {about['python']}, NumPy {about['numpy']}"
 
 
-def in_words(timings: Sequence[Timing], missing: Sequence[str], headings: Mapping[str, tuple[str, float, int]]) -> str:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """Results of one run, and where they were made."""
+
+    timings: tuple[Timing, ...]
+    missing: tuple[str, ...] = ()  # what could not be timed, and why
+    machine: dict[str, str] = field(default_factory=machine)
+    load: tuple[float, ...] = field(default_factory=os.getloadavg)  # of the last 1, 5 and 15 minutes
+
+
+def in_words(measured: Measured, headings: Mapping[str, tuple[str, float, int]]) -> str:
     """Return the timings as Markdown, accuracy before time.
 
     Headings map a figure to its heading, factor and digits.
     """
-    lines = [machine_in_words(), "time of the core, median (10th to 90th percentile); ratio to the first of each group"]
-    columns = "".join(f"{heading:>12}" for heading, _, _ in headings.values())
-    wide = max(22, *(len(t.method) + 2 for t in timings))
-    lines.append(f"{'stage':<18}{'case':<16}{'method':<{wide}}{columns}{'ms':>28}{'ratio':>28}")
-    for t in timings:
-        ms = f"{t.ms.median:.2f} ({t.ms.p10:.2f} to {t.ms.p90:.2f})"
-        ratio = f"{t.ratio.median:.2f} ({t.ratio.p10:.2f} to {t.ratio.p90:.2f})"
-        line = f"{t.stage:<18}{t.case:<16}{t.method:<{wide}}"
+    rows, several = measured.timings, len({t.stage for t in measured.timings}) > 1
+    columns = ["job" if several else "case", "method", *(heading for heading, _, _ in headings.values())]
+    columns += ["ms", "ratio of the time", "n"]
+    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+    for t in rows:
+        cells = [f"{t.stage}, {t.case}" if several else t.case, t.method]
         for name, (_, factor, digits) in headings.items():
-            line += f"{factor * t.figures[name]:>12.{digits}f}" if name in t.figures else f"{'':>12}"
-        lines.append(f"{line}{ms:>28}{ratio:>28}")
-    lines += [f"not measured: {words}" for words in missing]
-    return "\n".join(lines)
-
-
-def parts_in_words(parts_ms: Mapping[str, float]) -> str:
-    """Return the parts of a total in one line."""
-    return "frame to layers: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in parts_ms.items())
-
-
-def to_json(timings: Sequence[Timing], missing: Sequence[str], **more: Any) -> str:
-    """Return the timings as JSON, with further entries `more`."""
-    rows = [
-        {"stage": t.stage, "case": t.case, "method": t.method, "ms": asdict(t.ms), "ratio": asdict(t.ratio), **t.figures}
-        for t in timings
+            cells.append(f"{factor * t.figures[name]:.{digits}f}" if name in t.figures else "")
+        lines.append(f"| {' | '.join([*cells, t.ms.words, t.ratio.words, str(t.inputs)])} |")
+    load = ", ".join(f"{one:.1f}" for one in measured.load)
+    lines += [
+        "",
+        "Processor time of n inputs: median (10th to 90th percentile), and the ratio to the first method's at each input.",
+        f"{machine_in_words(measured.machine)}; load of the last 1, 5 and 15 minutes {load}.",
     ]
-    table = {"machine": machine(), "timings": rows, "missing": list(missing), **more}
-    return json.dumps(_rounded(table), indent=1) + "\n"
+    return "\n".join(lines + [f"Not measured: {words}." for words in measured.missing])
+
+
+def to_json(measured: Measured) -> str:
+    """Return the results as JSON, numbers with five digits."""
+    return json.dumps(_rounded(config.as_table(measured)), indent=1) + "\n"
+
+
+M = TypeVar("M", bound=Measured)
+
+
+def from_json(text: str, schema: type[M]) -> M:
+    """Return the results of `to_json`.
+
+    Raises:
+        ConfigError: They are no results of this kind.
+    """
+    return config.build(json.loads(text), schema, schema.__module__)
 
 
 def _rounded(value: Any) -> Any:

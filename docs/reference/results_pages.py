@@ -18,7 +18,7 @@ from benchmarks.campaign import evidence, table
 from benchmarks.campaign.part import load
 from benchmarks.faults import table as fault_table
 from benchmarks.fuzz import table as fuzz_table
-from benchmarks.peers import map_building
+from benchmarks.peers import accuracy, map_building, map_stages, passage, registration_speed, step_plans, timing
 from benchmarks.robot import fleet, latency, link
 from sextant.evaluation.theses import planner_table
 from sextant.evaluation.trials import baselines_table, passage_table, results_store, table_text
@@ -44,6 +44,11 @@ _TABLES: Mapping[str, Callable[[str], str]] = MappingProxyType(
         "faults_camera.json": _faults,
         "faults_legs.json": _faults,
         "faults_live.json": _faults,
+        "speed.json": lambda text: timing.in_words(timing.from_json(text, timing.Measured), registration_speed.HEADINGS),
+        "stages.json": lambda text: map_stages.in_words(timing.from_json(text, map_stages.Measured)),
+        "passage.json": lambda text: passage.in_words(timing.from_json(text, passage.Measured)),
+        "plans.json": lambda text: timing.in_words(timing.from_json(text, timing.Measured), step_plans.HEADINGS),
+        "accuracy.json": lambda text: accuracy.in_words(accuracy.from_json(text)),
         "maps.json": lambda text: map_building.in_words(map_building.from_json(text)),
         "table_6_1.json": lambda _: table_text.markdown(planner_table.content(*planner_table.read(DOCS / "table_6_1.json"))),
         "evidence.json": lambda _: table.page(load(), evidence.read()),
@@ -75,7 +80,7 @@ def _table(words: list[str]) -> str:
     if missing or not files:
         raise ValueError(f"a file in docs/ expected in a mark of a table, found {missing[0] if missing else 'none'}")
     if files[0] in _TABLES:
-        return _TABLES[files[0]]((DOCS / files[0]).read_text(encoding="utf-8")).strip()
+        return _made(files[0], _TABLES[files[0]]((DOCS / files[0]).read_text(encoding="utf-8")).strip())
     kind = words[words.index("--of") + 1] if "--of" in words else "walks"
     if kind == "baselines":  # of all files together
         return baselines_table.markdown(run for name in files for run in results_store.read(DOCS / name)).strip()
@@ -84,6 +89,15 @@ def _table(words: list[str]) -> str:
         return "\n".join(texts)
     first, *others = ([row for row in text.splitlines() if row.startswith("|")] for text in texts)
     return "\n".join([*first, *(row for rows in others for row in rows[2:])])
+
+
+def _made(name: str, text: str) -> str:
+    """Return a table with the commit that made a file, if it is a single one and the table does not name it."""
+    kept, on_file = {part.kept: key for key, part in load().items()}, evidence.read()
+    origin = on_file.get(kept.get(name, ""))
+    if origin is None or len(origin.commits) != 1 or "Made at commit" in text:
+        return text
+    return f"{text}\n\nMade {origin.made.words}."
 
 
 def _of_trials(path: Path, kind: str) -> str:

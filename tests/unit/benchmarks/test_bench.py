@@ -7,7 +7,9 @@ import json
 import math
 import os
 import re
+from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from benchmarks.peers import (
     foothold_model,
     full_frame,
     map_stages,
+    passage,
     reduction_peers,
     registration_peers,
     registration_speed,
@@ -234,7 +237,8 @@ def test_speed_command_writes_timings(tmp_path: Path, monkeypatch: pytest.Monkey
     assert [row["method"] for row in table["timings"]] == [*methods, plugin]
     assert table["timings"][0]["ratio"] == {"median": 1.0, "p10": 1.0, "p90": 1.0}
     for row in table["timings"]:
-        assert row["drift_m"] < 0.05
+        assert row["figures"]["drift_m"] < 0.05
+        assert row["inputs"] == 9
         assert row["ms"]["p10"] <= row["ms"]["median"] <= row["ms"]["p90"]
     assert table["machine"]["processor"]
     assert is_picture(tmp_path / "speed.png")
@@ -261,11 +265,11 @@ def test_speed_on_recording_has_error_and_time(
     words = ["speed", "--recording", str(sequence), "--registration", plugin, "--out", str(tmp_path)]
     assert cli.main([*words, "--only", "nothing"]) == 0
     said = capsys.readouterr().out
-    assert said.index("rms mm") < said.rindex("ratio")  # accuracy first
+    assert said.index("rms, mm") < said.index("ratio")  # accuracy first
     ours_row, _ = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["timings"]
     assert (ours_row["method"], ours_row["case"]) == (ours, "boxes")
-    assert ours_row["rms_m"] < 0.005
-    assert ours_row["drift_m"] < 0.01
+    assert ours_row["figures"]["rms_m"] < 0.005
+    assert ours_row["figures"]["drift_m"] < 0.01
     assert ours_row["ms"]["median"] > 0.0
 
 
@@ -285,8 +289,9 @@ def test_speed_on_real_recording_follows_reference(tmp_path: Path, monkeypatch: 
     (tmp_path / "depth.txt").write_text("\n".join(lines[:10]) + "\n", encoding="utf-8")
     ours = "projective (default)"
     monkeypatch.setattr(registration_speed, "METHODS", {ours: registration_peers.METHODS[ours]})
-    (found,), missing = registration_speed.on_recording(tmp_path)
-    assert not missing
+    measured = registration_speed.on_recording(tmp_path)
+    assert not measured.missing
+    (found,) = measured.timings
     assert found.figures["rms_m"] < 0.005
 
 
@@ -343,12 +348,74 @@ def test_unavailable_method_is_named_and_skipped(monkeypatch: pytest.MonkeyPatch
     ours = registration_peers.METHODS["projective (default)"]
     monkeypatch.setattr(registration_speed, "METHODS", {"projective (default)": ours, "elsewhere": absent})
     monkeypatch.setattr(registration_speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
-    timings, missing = registration_speed.registration([1000], frames=12)
-    assert missing[0].startswith(said)
-    assert ("pip install" in missing[0]) is isinstance(error, ModuleNotFoundError)
-    assert [(t.method, t.case, t.ratio.median) for t in timings] == [("projective (default)", "stairs", 1.0)]
-    assert said in timing.in_words(timings, missing, registration_speed.HEADINGS)
-    assert json.loads(timing.to_json(timings, missing))["missing"] == missing
+    found = registration_speed.registration([1000], frames=12)
+    assert found.missing[0].startswith(said)
+    assert ("pip install" in found.missing[0]) is isinstance(error, ModuleNotFoundError)
+    assert [(t.method, t.case, t.ratio.median) for t in found.timings] == [("projective (default)", "stairs", 1.0)]
+    assert said in timing.in_words(found, registration_speed.HEADINGS)
+    assert timing.from_json(timing.to_json(found), timing.Measured).missing == found.missing
+
+
+NUMBERS = st.integers(1, 99_999).map(lambda digits: digits / 100)  # five digits, as they are kept
+SPREADS = st.builds(timing.Spread, NUMBERS, NUMBERS, NUMBERS)
+TIMINGS = st.builds(
+    timing.Timing,
+    st.sampled_from(["registration", "map update"]),
+    st.sampled_from(["flat", "256x256"]),
+    st.sampled_from(["Sextant", "NumPy"]),
+    SPREADS,
+    SPREADS,
+    st.integers(1, 300),
+    st.dictionaries(st.sampled_from(["rms_m", "agreement", "per_s", "solved"]), NUMBERS),
+)
+COMMON = {
+    "timings": st.lists(TIMINGS, max_size=4).map(tuple),
+    "missing": st.sampled_from([(), ("a library: it is not there",)]),
+    "machine": st.just({"processor": "a core", "python": "3.11", "numpy": "2.4"}),
+    "load": st.just((0.1, 1.2, 2.3)),
+}
+SECTIONS = st.builds(
+    passage.Section,
+    *[st.sampled_from(passage.CASES), st.sampled_from([passage.OURS, passage.MASRI])],
+    *[st.integers(0, 99)] * 3,
+    *[NUMBERS] * 4,
+    *[st.integers(0, 9)] * 2,
+    *[st.none() | NUMBERS] * 3,
+)
+TABLES: dict[type[timing.Measured], tuple[dict[str, st.SearchStrategy[object]], Callable[..., str]]] = {
+    timing.Measured: ({}, partial(timing.in_words, headings=registration_speed.HEADINGS)),
+    map_stages.Measured: ({"parts_ms": st.just({"registration": 1.25, "reduction": 1.5})}, map_stages.in_words),
+    passage.Measured: (
+        {"sections": st.lists(SECTIONS, max_size=4).map(tuple), "wrong": st.just(("a leg",))},
+        passage.in_words,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+@given(st.data())
+def test_kept_timings_give_the_same_table(kind: type[timing.Measured], data: st.DataObject) -> None:
+    further, in_words = TABLES[kind]
+    measured = data.draw(st.builds(kind, **COMMON, **further))
+    kept = timing.from_json(timing.to_json(measured), kind)
+    assert kept == measured
+    assert in_words(kept) == in_words(measured)
+    lines = [line for line in in_words(kept).split("\n") if line.startswith("|")]
+    assert all(line.endswith(" |") or set(line) <= set("|-") for line in lines)
+
+
+def test_kept_timings_are_checked() -> None:
+    spread = timing.Spread(1.0, 0.5, 2.0)
+    text = timing.to_json(timing.Measured(timings=(timing.Timing("a", "b", "c", spread, spread, 3),)))
+    for right, wrong, said in (
+        ('"inputs": 3', '"inputs": 3.5', "timings[0].inputs: a whole number expected, found 3.5"),
+        ('"p90": 2.0', '"p90": Infinity', "timings[0].ms.p90: a finite number expected, found inf"),
+        ('"timings"', '"timing"', "timing: unknown key"),
+    ):
+        with pytest.raises(ConfigError, match=re.escape(said)):
+            timing.from_json(text.replace(right, wrong), timing.Measured)
+    with pytest.raises(ConfigError, match="sections: missing"):
+        timing.from_json(text, passage.Measured)
 
 
 def is_picture(path: Path) -> bool:
@@ -373,14 +440,15 @@ def test_stages_command_writes_timings_and_picture(
     assert table == json.loads((tmp_path / "stages.json").read_text(encoding="utf-8"))
     rows = {(row["stage"], row["case"], row["method"]): row for row in table["timings"]}
     assert {stage for stage, _, _ in rows} == {"reduction", "map update", "frame into map", "score chain", "frame to layers"}
-    assert rows["reduction", "640x480", "NumPy"]["agreement"] > 0.95
+    figures = {job: row["figures"] for job, row in rows.items()}
+    assert figures["reduction", "640x480", "NumPy"]["agreement"] > 0.95
     for size in ("256x256", "512x512"):
-        assert rows["map update", size, "NumPy"]["agreement"] > 0.99
-        assert rows["score chain", size, "OpenCV + NumPy"]["agreement"] > 0.99
-        assert rows["score chain", size, "Sextant, changes only"]["agreement"] > 0.99
-        assert 0.3 < rows["score chain", size, rule]["agreement"] < 1.0  # the cells that are footholds by our score, too
-    assert rows["map update", "512x512", "Sextant"]["growth"] > 0.0
-    assert rows["frame to layers", "256x256", "Sextant"]["made"] == 1.0
+        assert figures["map update", size, "NumPy"]["agreement"] > 0.99
+        assert figures["score chain", size, "OpenCV + NumPy"]["agreement"] > 0.99
+        assert figures["score chain", size, "Sextant, changes only"]["agreement"] > 0.99
+        assert 0.3 < figures["score chain", size, rule]["agreement"] < 1.0  # the cells that are footholds by our score, too
+    assert figures["map update", "512x512", "Sextant"]["growth"] > 0.0
+    assert figures["frame to layers", "256x256", "Sextant"]["made"] == 1.0
     assert {"registration", "reduction", "fuse", "score"} <= table["parts_ms"].keys()
     assert table["missing"] == ["elsewhere: some library is not there"]
     assert is_picture(tmp_path / "stages.png")
@@ -394,10 +462,10 @@ def test_plans_command_asks_planners_for_the_same_steps(tmp_path: Path, capsys: 
     assert table == json.loads((tmp_path / "plans.json").read_text(encoding="utf-8"))
     ours, other = table["timings"]
     assert (ours["method"], ours["case"], other["method"]) == ("Sextant", "flat", plugin)
-    assert ours["solved"] == ours["accepted"] == 1.0
-    assert ours["travel_mm"] > 20.0
-    assert other["solved"] == 1.0
-    assert other["travel_mm"] == 0.0
+    assert ours["figures"]["solved"] == ours["figures"]["accepted"] == 1.0
+    assert ours["figures"]["travel_mm"] > 20.0
+    assert other["figures"]["solved"] == 1.0
+    assert other["figures"]["travel_mm"] == 0.0
 
 
 def test_race_rotates_methods_and_drops_warm_up() -> None:
