@@ -6,7 +6,6 @@ all messages before it have been processed.
 """
 
 import dataclasses
-import json
 import ssl
 import tempfile
 import threading
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.access import replay_attacks
+from benchmarks.peers import kept
 from sextant.deploy.security.authority import Authority
 from sextant.deploy.security.hosting import hosted
 from sextant.deploy.security.router_security import Gate
@@ -211,9 +211,18 @@ def _kept_back(inside: _Inside, base: ZenohLink, link: Callable[[str], ZenohLink
 def in_words(rows: tuple[Row, ...]) -> str:
     """Return the rows as a Markdown table."""
     lines = ["| what | tried | came through | |", "|---|---|---|---|"]
-    return "\n".join([*lines, *(f"| {row.what} | {row.tried} | {row.through} | {row.note} |" for row in rows)])
+    return "\n".join([*lines, *(f"| {row.what} | {row.tried} | {row.through} | {_cell(row.note)} |" for row in rows)])
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
 
 
 def to_json(rows: tuple[Row, ...]) -> str:
-    """The rows as JSON."""
-    return json.dumps([dataclasses.asdict(row) for row in rows], indent=1)
+    """Return the rows as JSON."""
+    return kept.rows_to_json(rows)
+
+
+def from_json(text: str) -> tuple[Row, ...]:
+    """Read rows written by `to_json`."""
+    return tuple(kept.rows_from_json(text, Row))

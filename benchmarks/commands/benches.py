@@ -183,7 +183,7 @@ def bench_calibration(scenario: str, seeds: range, jobs: int, out: str | None, a
     load_scenario(scenario)  # a wrong name is reported before anything starts
     folder = out_folder(out, "bench-calibration")
     found = calibration.measure(scenario, seeds, jobs, open_progress(as_json).say)
-    return _tell_bench(calibration.in_words(found), calibration.to_json(scenario, found), folder / "calibration.json", as_json)
+    return _tell_bench(calibration.in_words(found), calibration.to_json(found), folder / "calibration.json", as_json)
 
 
 @benchmarks.command("naming")
@@ -444,9 +444,8 @@ def bench_servos(rounds: int, out: str | None, as_json: bool) -> int:
     from benchmarks.peers import servo_packets
 
     folder = out_folder(out, "bench-servos")
-    rows, missing = servo_packets.measure(rounds, open_progress(as_json).say)
-    words, text = servo_packets.in_words(rows, missing), servo_packets.to_json(rows, missing)
-    return _tell_bench(words, text, folder / "servos.json", as_json)
+    found = servo_packets.measure(rounds, open_progress(as_json).say)
+    return _tell_bench(servo_packets.in_words(found), servo_packets.to_json(found), folder / "servos.json", as_json)
 
 
 @benchmarks.command("bus")

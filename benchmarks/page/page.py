@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from benchmarks.page.browser import DESKTOP, Hand, browser, frozen
 from benchmarks.page.page_robot import PageRobot
-from benchmarks.peers.timing import machine
+from benchmarks.peers import kept
 from sextant.services.console.web.control_arbiter import DEAD_MAN_NS
+from sextant.shared.files import config
 from sextant.shared.wire.messages import Mode
 
 # Limits of the page: times, share of a core, bytes per second, frames per second.
@@ -252,8 +253,22 @@ def to_json(found: Measured) -> str:
         {"what": d.what, "limit_s": _finite(d.limit_s), "seconds": [_finite(s) for s in d.seconds], "kept": d.kept}
         for d in found.delays
     ]
-    made: dict[str, Any] = {"machine": machine(), "delays": delays, "cost": asdict(found.cost)}
-    return json.dumps(made, indent=1, allow_nan=False)
+    made: dict[str, Any] = {"machine": kept.about(), "delays": delays, "cost": asdict(found.cost)}
+    return json.dumps(made, indent=1, allow_nan=False) + "\n"
+
+
+def from_json(text: str) -> Measured:
+    """Read results written by `to_json`."""
+    table = json.loads(text)
+    delays = (
+        Delay(d["what"], _number(d["limit_s"], math.nan), tuple(_number(s, math.inf) for s in d["seconds"]))
+        for d in table["delays"]
+    )
+    return Measured(tuple(delays), config.build(table["cost"], Cost))
+
+
+def _number(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else float(value)
 
 
 def _finite(value: float) -> float | None:

@@ -5,18 +5,18 @@ servos, which run in a separate process, and take turns. The emulator replies wi
 adapter with a latency timer of 1 ms.
 """
 
-import json
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks.peers.timing import Spread, installed, machine, machine_in_words
+from benchmarks.peers import kept
+from benchmarks.peers.timing import Spread, installed
 from sextant.services.actuator.servo_bus.bus_driver import REPLY_TIMEOUT_NS, ServoBus, open_port
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
@@ -39,6 +39,14 @@ class Row:
     core_ms: Spread  # processor time of the requesting thread
     lost: int  # requests to existing servos that were given up
     asked: int  # requests to existing servos
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Results of both libraries."""
+
+    rows: tuple[Row, ...]
+    missing: tuple[str, ...]  # which library is missing, as text
 
 
 class Ours:
@@ -100,10 +108,8 @@ class Sdk:
         self._group.txPacket()
 
 
-def measure(rounds: int, say: Callable[[str], None]) -> tuple[list[Row], list[str]]:
+def measure(rounds: int, say: Callable[[str], None]) -> Comparison:
     """Measure both libraries at each job, in turns.
-
-    Return the rows, and which library is missing, as text.
 
     Args:
         rounds: Repetitions of each job.
@@ -113,12 +119,12 @@ def measure(rounds: int, say: Callable[[str], None]) -> tuple[list[Row], list[st
     with _emulated() as url:
         port = open_port(url)
         methods, missing = installed({"sextant": Ours, "dynamixel-sdk": Sdk}, port, ids)
-        rows = []
+        rows: list[Row] = []
         for job in JOBS:
             say(f"{job}: {', '.join(methods)}")
             rows += _race(job, methods, ids, _ROUNDS_SILENT if job == "no answer" else rounds)
         port.close()
-    return rows, missing
+    return Comparison(tuple(rows), tuple(missing))
 
 
 def _race(job: str, methods: Mapping[str, Any], ids: Sequence[int], rounds: int) -> list[Row]:
@@ -162,16 +168,24 @@ def _emulated() -> Iterator[str]:
         process.wait(10)
 
 
-def in_words(rows: Sequence[Row], missing: Sequence[str]) -> str:
+def in_words(found: Comparison) -> str:
     """Return the results as Markdown."""
-    lines = [machine_in_words(), "median (10th to 90th percentile)"]
-    lines.append(f"{'job':<14}{'library':<15}{'time ms':>26}{'of the core ms':>26}{'lost':>12}")
-    for row in rows:
+    lines = [
+        "| job | library | time ms, median (10th to 90th percentile) | of the core ms | answers given up |",
+        "|---|---|---|---|---|",
+    ]
+    for row in found.rows:
         wall, core = (f"{s.median:.2f} ({s.p10:.2f} to {s.p90:.2f})" for s in (row.wall_ms, row.core_ms))
-        lines.append(f"{row.job:<14}{row.method:<15}{wall:>26}{core:>26}{f'{row.lost} of {row.asked}':>12}")
-    return "\n".join([*lines, *(f"not measured: {words}" for words in missing)])
+        lost = f"{row.lost} of {row.asked}" if row.asked else ""
+        lines.append(f"| {row.job} | {row.method} | {wall} | {core} | {lost} |")
+    return "\n".join([*lines, *(f"\nNot measured: {words}" for words in found.missing)])
 
 
-def to_json(rows: Sequence[Row], missing: Sequence[str]) -> str:
+def to_json(found: Comparison) -> str:
     """Return the results as JSON."""
-    return json.dumps({"machine": machine(), "rows": [asdict(row) for row in rows], "missing": list(missing)}, indent=1) + "\n"
+    return kept.to_json(found)
+
+
+def from_json(text: str) -> Comparison:
+    """Read results written by `to_json`."""
+    return kept.from_json(text, Comparison)

@@ -166,7 +166,7 @@ def machine() -> dict[str, str]:
         if line.startswith("model name"):
             model = line.partition(":")[2].strip()
             break
-    out = {"processor": model, "cores": f"{os.cpu_count()}, one used", "system": f"{platform.system()} {platform.machine()}"}
+    out = {"processor": model, "cores": str(os.cpu_count()), "system": f"{platform.system()} {platform.machine()}"}
     out["python"] = platform.python_version()
     for package in _PACKAGES:
         try:

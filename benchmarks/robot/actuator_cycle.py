@@ -4,15 +4,15 @@ The real actuator walks in lockstep. The time of its emulated servo bus is left 
 wait is counted from the emulated delays of the bus.
 """
 
-import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks.peers.timing import machine, machine_in_words, one_core
+from benchmarks.peers import kept
+from benchmarks.peers.timing import one_core
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.robot.profiles import load_profile
@@ -22,6 +22,10 @@ from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.wire.messages import ActuatorState, Message, Mode, Tick
 
 _LOOK_NS = 250_000_000  # [ns] simulated time between two looks whether the walk is over
+SLOWER = {  # how many times slower published n-body benchmarks in pure Python are than on the server of the documentation
+    "Raspberry Pi 5, Orin Nano": (2.0, 3.3),
+    "Raspberry Pi 4, Jetson Nano": (4.5, 7.0),
+}
 _TIMED = {Mode.HOLD: "standing", Mode.WALK: "walking"}
 
 
@@ -137,15 +141,33 @@ def _cycle_time(kind: str, walks: Sequence[TimedActuator], rate_hz: float) -> Cy
 
 
 def in_words(found: Sequence[CycleTime], period_ms: float = 20.0) -> str:
-    """Return the times as text."""
-    rows = [
-        f"{row.kind}: this computer takes {row.p50_ms:.2f} of {period_ms:g} ms (p50), {row.p99_ms:.2f} (p99), beside "
-        f"{row.bus_ms:.1f} ms of waiting for the servo bus; {row.cores:.3f} of a core; {row.cycles} cycles"
-        for row in found
+    """Return the times as Markdown, next to estimates for slower processors."""
+    lines = [
+        f"| of a cycle of {period_ms:g} ms | this computer | {' | '.join(SLOWER)} |",
+        "|---" * (2 + len(SLOWER)) + "|",
+        f"| speed of Python | 1 | {' | '.join(f'{low:g} to {high:g} times slower' for low, high in SLOWER.values())} |",
     ]
-    return "\n".join([machine_in_words(), *rows])
+    for row in found:
+        for what, ms in (("median", row.p50_ms), ("99th percentile", row.p99_ms)):
+            lines.append(_row(f"computing, {row.kind}, {what}", ms, 0.0))
+        lines.append(f"| waiting for the servo bus, {row.kind} | {' | '.join([f'{row.bus_ms:.1f} ms'] * (1 + len(SLOWER)))} |")
+        lines.append(_row(f"together, {row.kind}, median", row.p50_ms, row.bus_ms))
+    used = ", ".join(f"{row.cores:.3f} of a core {row.kind} (mean of {row.cycles} cycles)" for row in found)
+    return "\n".join([*lines, "", f"A cycle takes {used}."])
+
+
+def _row(what: str, computing_ms: float, waiting_ms: float) -> str:
+    slower = (
+        f"{low * computing_ms + waiting_ms:.1f} to {high * computing_ms + waiting_ms:.1f} ms" for low, high in SLOWER.values()
+    )
+    return f"| {what} | {computing_ms + waiting_ms:.2f} ms | {' | '.join(slower)} |"
 
 
 def to_json(found: Sequence[CycleTime]) -> str:
     """Return the times as JSON."""
-    return json.dumps({"machine": machine(), "cycles": [asdict(row) for row in found]}, indent=1) + "\n"
+    return kept.rows_to_json(found)
+
+
+def from_json(text: str) -> list[CycleTime]:
+    """Read times written by `to_json`."""
+    return kept.rows_from_json(text, CycleTime)

@@ -5,14 +5,14 @@ simulated time, and each accepted reading is compared with the state of its serv
 random errors, a CRC of two bytes one of 65 536 and no error of two bits.
 """
 
-import json
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from random import Random
 
 import numpy as np
 
+from benchmarks.peers import kept
 from sextant.services.actuator.servo_bus.bus_driver import ServoReading
 from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
@@ -90,10 +90,6 @@ WAYS: Mapping[str, Way] = {
     "answer of another servo": Way(_before, (0.0, 0.0)),
     "answer before of the same servo": Way(_before, None, of_same=True),
 }
-HEADINGS = (
-    *("servo", "spoilt", "answers", "of these spoilt", "intact by their checksum", "expected at most"),
-    *("wrong positions believed", "wrong errors believed", "position error, max, deg"),
-)
 
 
 @dataclass(slots=True)
@@ -220,20 +216,38 @@ def _compare(found: Found, reading: ServoReading, truth: float, tick_rad: float)
         found.position_off_deg = max(found.position_off_deg, math.degrees(off))
 
 
-def in_words(found: list[Found]) -> str:
-    """Return a table in Markdown."""
-    lines = ["| " + " | ".join(HEADINGS) + " |", "|---" * len(HEADINGS) + "|"]
+def in_words(found: Sequence[Found]) -> str:
+    """Return a table in Markdown, a row for each servo, and what exceeds the odds."""
+    ways = list(dict.fromkeys(one.way for one in found))
+    lines = [f"| servo | {' | '.join(ways)} |", "|---" * (1 + len(ways)) + "|"]
+    for model in dict.fromkeys(one.model for one in found):
+        cells = {one.way: _cell(one) for one in found if one.model == model}
+        lines.append(f"| {model} | {' | '.join(cells.get(way, '') for way in ways)} |")
+    believed = [one for one in found if one.wrong_positions and one.expected is not None]
+    lines += [
+        "",
+        f"Intact by their checksum, of the spoilt answers; in parentheses wrong positions that were believed, at most "
+        f"{max((one.position_off_deg for one in believed), default=0.0):.1f} deg off but for old answers; "
+        f"{sum(one.wrong_errors for one in found)} wrong errors were believed. At least {min(one.answers for one in found)} "
+        f"answers of each servo each way.",
+    ]
     for one in found:
-        cells = (
-            *(one.model, one.way, one.answers, one.spoilt, one.intact),
-            "-" if one.expected is None else f"{one.expected:.1f}",
-            *(one.wrong_positions, one.wrong_errors),
-            f"{one.position_off_deg:.1f}" if one.wrong_positions else "-",
-        )
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        if not one.passed:
+            lines.append(
+                f"More than the odds allow: {one.model}, {one.way}, {one.intact} intact, {one.expected} expected at most."
+            )
     return "\n".join(lines)
 
 
-def to_json(found: list[Found]) -> str:
+def _cell(one: Found) -> str:
+    return f"{one.intact} of {one.spoilt}" + (f" ({one.wrong_positions})" if one.wrong_positions else "")
+
+
+def to_json(found: Sequence[Found]) -> str:
     """Return the results as JSON."""
-    return json.dumps([asdict(one) for one in found], indent=1) + "\n"
+    return kept.rows_to_json(found)
+
+
+def from_json(text: str) -> list[Found]:
+    """Read results written by `to_json`."""
+    return kept.rows_from_json(text, Found)

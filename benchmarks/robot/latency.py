@@ -102,7 +102,7 @@ def in_words(walks: Sequence[TimedWalk]) -> str:
 def to_json(scenario: str, walks: Sequence[TimedWalk]) -> str:
     """Return the results as JSON."""
     table = {
-        "machine": {**machine(), "cores": str(os.cpu_count())},
+        "machine": machine(),
         "scenario": scenario,
         "walks": [asdict(one) for one in walks],
     }

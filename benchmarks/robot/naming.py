@@ -1,12 +1,12 @@
 """Walks of robots with one error each: whether the robot names it, how soon, and whether it names anything else."""
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from benchmarks.peers import kept
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.evaluation.trials.statistics import wilson
 from sextant.shared.robot.profile import JOINTS, LEGS
@@ -23,6 +23,10 @@ SOON = 10  # steps within which an error should be named
 _STEPS, _LONGEST_S = 20, 60  # end of a walk
 _SLICE_NS = 500_000_000  # [ns] between two looks at the walk
 _ANGLE_DEG, _DEPTH, _HORN_DEG = 3.0, 0.03, 4.0  # sizes of the errors
+_SIZES = {axis: f"{axis}, {_ANGLE_DEG:g} deg" for axis in ("pitch", "roll", "yaw")} | {
+    "depth": f"depth, {100 * _DEPTH:g} %",
+    "horn": f"one horn, {_HORN_DEG:g} deg",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +75,9 @@ class Walk:
     scenario: str
     seed: int
     steps: int  # of the walk
-    named_at: int | None  # step at which the error was named first; None if it was not
-    sentence: str  # that names it first
+    sentence: str  # that names the error first
     others: tuple[str, ...]  # sentences that name something else
+    named_at: int | None = None  # step at which the error was named first; None if it was not
 
 
 def measure(
@@ -114,7 +118,7 @@ def _walk(kind: str, name: str, seed: int) -> Walk:
     also = {part for part, _ in parts if wrong.also and re.search(wrong.also, part)}
     others = sorted({part for part, _ in parts} - {part for _, part in right} - also)
     at, sentence = min(right, default=(None, ""))
-    return Walk(kind, name, seed, step, at, sentence, tuple(others))
+    return Walk(kind, name, seed, step, sentence, tuple(others), at)
 
 
 def _parts(sentence: str) -> list[str]:
@@ -133,19 +137,22 @@ def _share(hits: int, n: int) -> str:
 
 
 def in_words(found: Sequence[Walk]) -> str:
-    """Return how many errors were named, and how many wrong names there were, as text."""
-    lines = []
+    """Return how many errors were named, and how many wrong names there were, as Markdown."""
+    lines = [f"| error | named within {SOON} steps | later | something else named |", "|---|---|---|---|"]
     for kind in dict.fromkeys(walk.kind for walk in found):
         of_kind = [walk for walk in found if walk.kind == kind]
-        text = f"something else named in {_share(sum(bool(walk.others) for walk in of_kind), len(of_kind))}"
-        if kind != "none":
-            named = [walk.named_at for walk in of_kind if walk.named_at is not None]
-            soon = sum(at <= SOON for at in named)
-            text = f"named within {SOON} steps in {_share(soon, len(of_kind))}, later in {len(named) - soon}; {text}"
-        lines.append(f"{kind:6s} {text}")
+        named = [walk.named_at for walk in of_kind if walk.named_at is not None]
+        soon, others = sum(at <= SOON for at in named), sum(bool(walk.others) for walk in of_kind)
+        right = f"{_share(soon, len(of_kind))} | {len(named) - soon}" if kind in _SIZES else "- | -"
+        lines.append(f"| {_SIZES.get(kind, kind)} | {right} | {_share(others, len(of_kind))} |")
     return "\n".join(lines)
 
 
 def to_json(found: Sequence[Walk]) -> str:
     """Return the walks as JSON."""
-    return json.dumps([asdict(walk) for walk in found], indent=1) + "\n"
+    return kept.rows_to_json(found)
+
+
+def from_json(text: str) -> list[Walk]:
+    """Read walks written by `to_json`."""
+    return kept.rows_from_json(text, Walk)

@@ -3,7 +3,6 @@
 The walks alternate between no recording, recording, a full disk, and a killed recorder.
 """
 
-import json
 import math
 import resource
 import tempfile
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.page.page_robot import PageRobot
 from benchmarks.page.scripted_page import ScriptedPage
-from benchmarks.peers.timing import machine
+from benchmarks.peers import kept
 from sextant.shared.recording.reader import newest_ns
 from sextant.shared.wire.messages import Mode
 
@@ -40,7 +39,28 @@ class Way:
     lost_s: list[float] = field(default_factory=list)  # duration missing at the end of the file
 
 
-def measure(rounds: int, say: Callable[[str], object]) -> tuple[Way, ...]:
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Results of one kind."""
+
+    what: str
+    walks: int
+    p50_ms: float  # of the cycle: intervals between goals on the servo bus
+    p99_ms: float
+    worst_ms: float
+    said_s: tuple[float, ...]  # delays until the page reported the problem
+    never_said: int  # problems that the page did not report
+    lost_s: tuple[float, ...]  # duration missing at the end of each file
+
+    @classmethod
+    def of(cls, way: Way) -> "Summary":
+        """Summarise the walks of a kind."""
+        p50, p99, worst = (1e3 * np.percentile(np.concatenate(way.cycles_s), [50, 99, 100])).tolist()
+        said = tuple(s for s in way.said_s if math.isfinite(s))
+        return cls(way.what, len(way.cycles_s), p50, p99, worst, said, len(way.said_s) - len(said), tuple(way.lost_s))
+
+
+def measure(rounds: int, say: Callable[[str], object]) -> tuple[Summary, ...]:
     """Walk back and forth over level ground, with the four kinds of recording in turn.
 
     Args:
@@ -65,7 +85,7 @@ def measure(rounds: int, say: Callable[[str], object]) -> tuple[Way, ...]:
                 _walk(robot, page, ways[number], forward)
                 forward = -forward
             say(f"recording: {k + 1} of {rounds} rounds")
-    return ways
+    return tuple(Summary.of(way) for way in ways)
 
 
 def _walk(robot: PageRobot, page: ScriptedPage, way: Way, forward: float) -> None:
@@ -130,43 +150,32 @@ def _is_recording(page: ScriptedPage) -> bool:
     return recorder is not None and bool(recorder["recording"])
 
 
-def in_words(ways: Sequence[Way]) -> str:
+def in_words(found: Sequence[Summary]) -> str:
     """Return the results as Markdown."""
-    usual = _p99(ways[0])
+    usual = found[0]
     lines = [
         "| while the robot walks | cycle p50, ms | p99, ms | above the first, ms | worst, ms | reported after, s | lost, s |",
         "|---|---|---|---|---|---|---|",
     ]
-    for way in ways:
-        cycles = 1e3 * np.concatenate(way.cycles_s)
-        p50, p99 = np.percentile(cycles, 50), 1e3 * _p99(way)
-        said, lost = (f"{max(v):.1f} at most" if v else "" for v in (way.said_s, way.lost_s))
-        beside = f"{p99 - 1e3 * usual:+.2f}" if way is not ways[0] else ""
-        lines.append(f"| {way.what} | {p50:.2f} | {p99:.2f} | {beside} | {cycles.max():.1f} | {said} | {lost} |")
+    for way in found:
+        said = f"{max(way.said_s):.1f} at most" if way.said_s else ""
+        said += f", never in {way.never_said}" if way.never_said else ""
+        lost = f"{max(way.lost_s):.1f} at most" if way.lost_s else ""
+        beside = f"{way.p99_ms - usual.p99_ms:+.2f}" if way is not usual else ""
+        lines.append(f"| {way.what} | {way.p50_ms:.2f} | {way.p99_ms:.2f} | {beside} | {way.worst_ms:.1f} | {said} | {lost} |")
     lines += [
         "",
-        f"{len(ways[0].cycles_s)} walks of {_WALK_S:.0f} s per row, in turns. Wanted: p99 within {1e3 * CYCLE_S:.0f} ms of a "
+        f"{usual.walks} walks of {_WALK_S:.0f} s per row, in turns. Wanted: p99 within {1e3 * CYCLE_S:.0f} ms of a "
         f"walk without recording, reported within {SAID_S:.0f} s, at most {KILLED_S:.0f} s lost.",
     ]
     return "\n".join(lines)
 
 
-def to_json(ways: Sequence[Way]) -> str:
-    """Return the results as JSON; missing reports are null."""
-    table = {
-        way.what: {
-            "cycle_ms": {"p50": _ms(way, 50), "p99": _ms(way, 99), "max": _ms(way, 100)},
-            "said_s": [s if math.isfinite(s) else None for s in way.said_s],
-            "lost_s": way.lost_s,
-        }
-        for way in ways
-    }
-    return json.dumps({"machine": machine(), "ways": table}, indent=1, allow_nan=False)
+def to_json(found: Sequence[Summary]) -> str:
+    """Return the results as JSON."""
+    return kept.rows_to_json(found)
 
 
-def _p99(way: Way) -> float:
-    return float(np.percentile(np.concatenate(way.cycles_s), 99))
-
-
-def _ms(way: Way, percent: float) -> float:
-    return round(1e3 * float(np.percentile(np.concatenate(way.cycles_s), percent)), 3)
+def from_json(text: str) -> list[Summary]:
+    """Read results written by `to_json`."""
+    return kept.rows_from_json(text, Summary)

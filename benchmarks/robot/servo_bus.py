@@ -5,15 +5,15 @@ the bytes in both directions, are corrupted. The driver reads and writes in cycl
 accepted reading is compared with the servo's measurement.
 """
 
-import json
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.peers import kept
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus.bus_driver import Lost, ServoBus, ServoReading
 from sextant.services.actuator.servo_bus.reading_validation import Implausibility
@@ -83,7 +83,7 @@ class Found:
     wrong: int = 0  # accepted readings that differ from the servo's measurement
     position_off_deg: float = 0.0  # the largest error
     load_off: float = 0.0  # the largest error as a share of the stall torque
-    oldest_p99_ms: float = 0.0  # age of the oldest servo reading
+    oldest_p99_ms: float | None = None  # age of the oldest servo reading, after each servo was read
     wrong_goals: int = 0  # cycles after which a servo has a goal that was not sent to it
     cycles: int = 0
     by_reason: dict[str, int] = field(default_factory=dict)  # everything lost, dropped and rejected
@@ -172,7 +172,7 @@ def _run(case: str, fault: BusFault | None, questions: int, seed: int) -> Found:
     found.questions = walk.port.questions
     found.unanswered = lost[Lost.TIMEOUT] + lost[Lost.REFUSED]
     found.implausible = sum(lost[doubt] for doubt in Implausibility)
-    found.oldest_p99_ms = 1e3 * float(np.percentile(ages[_N:], 99)) if len(ages) > _N else math.inf
+    found.oldest_p99_ms = 1e3 * float(np.percentile(ages[_N:], 99)) if len(ages) > _N else None
     found.by_reason = {str(reason): count for reason, count in sorted(lost.items())}
     return found
 
@@ -204,7 +204,7 @@ def in_words(found: list[Found]) -> str:
             one.wrong,
             f"{one.position_off_deg:.1f}" if one.wrong else "-",
             f"{100.0 * one.load_off:.0f}" if one.wrong else "-",
-            f"{one.oldest_p99_ms:.0f}",
+            "-" if one.oldest_p99_ms is None else f"{one.oldest_p99_ms:.0f}",
             f"{one.wrong_goals} of {one.cycles}",
         )
         lines.append("| " + " | ".join(map(str, cells)) + " |")
@@ -213,4 +213,9 @@ def in_words(found: list[Found]) -> str:
 
 def to_json(found: list[Found]) -> str:
     """Return the results as JSON."""
-    return json.dumps([asdict(one) for one in found], indent=1) + "\n"
+    return kept.rows_to_json(found)
+
+
+def from_json(text: str) -> list[Found]:
+    """Read results written by `to_json`."""
+    return kept.rows_from_json(text, Found)

@@ -1,6 +1,5 @@
 """Disk size of a role: the installed packages that its extra requires."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
@@ -8,6 +7,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from benchmarks.peers import kept
 
 _NAME = "sextant"
 _ROOT = Path(__file__).parents[2]
@@ -21,7 +22,7 @@ class Role:
     """An extra and its packages."""
 
     name: str
-    packages_mb: Mapping[str, float]  # name -> size, the largest first
+    packages_mb: dict[str, float]  # name -> size, the largest first
     missing: tuple[str, ...]  # packages that are not installed here, and not counted
 
     @property
@@ -94,12 +95,9 @@ def in_words(roles: Sequence[Role]) -> str:
 
 def to_json(roles: Sequence[Role]) -> str:
     """Return the sizes as JSON."""
-    table = {
-        role.name: {
-            "mb": round(role.size_mb, 1),
-            "packages_mb": {name: round(size, 2) for name, size in role.packages_mb.items()},
-            "missing": role.missing,
-        }
-        for role in roles
-    }
-    return json.dumps(table, indent=1)
+    return kept.rows_to_json(roles)
+
+
+def from_json(text: str) -> list[Role]:
+    """Read sizes written by `to_json`."""
+    return kept.rows_from_json(text, Role)

@@ -9,12 +9,12 @@ import os
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from benchmarks.peers.timing import machine, machine_in_words
+from benchmarks.peers import kept
 
 _CGROUPS = Path("/sys/fs/cgroup")
 _PERIOD_US = 5000  # a share of a longer period would stop the process for longer than a slow processor does
@@ -158,13 +158,23 @@ def _used_s(pid: int) -> float:
 
 
 def in_words(found: SlowWalk) -> str:
-    """Return the result as text."""
-    walked = "reached its goal" if found.success else f"failed: {found.reason}"
-    period = f"every {found.period_p50_ms:.1f} ms (p50), {found.period_p99_ms:.1f} (p99)"
-    used = f"skipped {found.missed} and used {found.cores:.2f} of a core"
-    return f"{machine_in_words()}\nwith {found.share:g} of a core the actuator ran a cycle {period}, {used}; the robot {walked}"
+    """Return the result as Markdown."""
+    walked = "at its goal" if found.success else f"failed: {found.reason}"
+    return "\n".join(
+        (
+            "| share of a core | between two cycles p50, ms | p99, ms | cycles skipped | used, of a core | the robot |",
+            "|---|---|---|---|---|---|",
+            f"| {found.share:g} | {found.period_p50_ms:.1f} | {found.period_p99_ms:.1f} | {found.missed} | {found.cores:.2f} "
+            f"| {walked} |",
+        )
+    )
 
 
 def to_json(found: SlowWalk) -> str:
     """Return the result as JSON."""
-    return json.dumps({"machine": machine(), **asdict(found)}, indent=1) + "\n"
+    return kept.to_json(found)
+
+
+def from_json(text: str) -> SlowWalk:
+    """Read a result written by `to_json`."""
+    return kept.from_json(text, SlowWalk)

@@ -4,17 +4,15 @@ Its process is started repeatedly on emulated servos with torque on. Events are 
 emulated in this process, on a network port.
 """
 
-import json
 import math
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.peers.timing import machine
+from benchmarks.peers import kept
 from sextant.deploy.launch.launcher import Launcher, host_router
 from sextant.deploy.launch.process_table import TABLE, Choices, commands
 from sextant.services.actuator.safety.torque_off_latch import Latch
@@ -144,33 +142,31 @@ def _goals_in(parameters: bytes) -> dict[int, int]:
     return {row[0]: int.from_bytes(row[1:3], "little") for row in rows}
 
 
-def _table(found: Sequence[Start]) -> dict[str, Any]:
-    rows = {name: np.array([getattr(one, f"{name}_ms") for one in found]) for name in ("asked", "told", "heard")}
-    spans = {name: {"p50": float(np.median(ms)), "max": float(ms.max())} for name, ms in rows.items()}
-    moved, holding = max(one.moved_deg for one in found), sum(one.mode == Mode.HOLD for one in found)
-    return {
-        "starts": len(found),
-        "holding": holding,
-        "moved_deg": moved,
-        "late": int((rows["told"] > WITHIN_MS).sum()),
-        "ms": spans,
-    }
-
-
 def in_words(found: Sequence[Start]) -> str:
     """Return the results as Markdown."""
-    table = _table(found)
-    words = {"asked": "first request to a servo", "told": "first goals on the wire", "heard": "first published message"}
-    lines = [f"from the start of the actuator's process, {len(found)} times, ms", f"{'until its':<28}{'p50':>8}{'max':>8}"]
-    lines += [f"{words[name]:<28}{ms['p50']:>8.0f}{ms['max']:>8.0f}" for name, ms in table["ms"].items()]
-    lines.append(
-        f"holding: {table['holding']} of {len(found)}, first goals at most {table['moved_deg']:.1f} deg off the standing joints"
-    )
-    lines += [f"not holding: {one.mode}, {one.reason}" for one in found if one.mode != Mode.HOLD]
-    lines.append(f"later than {WITHIN_MS:g} ms: {table['late']} of {len(found)}")
+    lines = ["| from the start of the process until its | p50, ms | max, ms |", "|---|---|---|"]
+    for words, ms in (
+        ("first request to a servo", [one.asked_ms for one in found]),
+        ("first goals on the wire", [one.told_ms for one in found]),
+        ("first published message", [one.heard_ms for one in found]),
+    ):
+        lines.append(f"| {words} | {np.median(ms):.0f} | {max(ms):.0f} |")
+    holding, late = (sum(one.mode == Mode.HOLD for one in found), sum(one.told_ms > WITHIN_MS for one in found))
+    moved = max(one.moved_deg for one in found)
+    lines += [
+        "",
+        f"{len(found)} starts: {holding} held by their first message, {late} sent their first goals later than "
+        f"{WITHIN_MS:g} ms. The first goals were at most {moved:.1f} deg off the goals held in the servos.",
+    ]
+    lines += [f"Not holding: {one.mode}, {one.reason}." for one in found if one.mode != Mode.HOLD]
     return "\n".join(lines)
 
 
 def to_json(found: Sequence[Start]) -> str:
     """Return the results as JSON."""
-    return json.dumps({"machine": machine(), **_table(found), "each": [asdict(one) for one in found]}, indent=1) + "\n"
+    return kept.rows_to_json(found)
+
+
+def from_json(text: str) -> list[Start]:
+    """Read results written by `to_json`."""
+    return kept.rows_from_json(text, Start)

@@ -13,13 +13,37 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from benchmarks.access import strangers
+from benchmarks.access import access, strangers
 from benchmarks.campaign import evidence, table
 from benchmarks.campaign.part import load
 from benchmarks.faults import table as fault_table
 from benchmarks.fuzz import table as fuzz_table
-from benchmarks.peers import accuracy, map_building, map_stages, passage, registration_speed, step_plans, timing
-from benchmarks.robot import fleet, latency, link
+from benchmarks.page import page
+from benchmarks.peers import (
+    accuracy,
+    kept,
+    map_building,
+    map_stages,
+    passage,
+    registration_speed,
+    servo_packets,
+    step_plans,
+    timing,
+)
+from benchmarks.robot import (
+    actuator_cycle,
+    calibration,
+    checksums,
+    fleet,
+    latency,
+    link,
+    naming,
+    recording,
+    servo_bus,
+    size,
+    slow_core,
+    start,
+)
 from sextant.evaluation.theses import planner_table
 from sextant.evaluation.trials import baselines_table, passage_table, results_store, table_text
 from sextant.evaluation.trials.campaign_table import markdown, of_runs
@@ -49,6 +73,18 @@ _TABLES: Mapping[str, Callable[[str], str]] = MappingProxyType(
         "passage.json": lambda text: passage.in_words(timing.from_json(text, passage.Measured)),
         "plans.json": lambda text: timing.in_words(timing.from_json(text, timing.Measured), step_plans.HEADINGS),
         "accuracy.json": lambda text: accuracy.in_words(accuracy.from_json(text)),
+        "cycle.json": lambda text: actuator_cycle.in_words(actuator_cycle.from_json(text)),
+        "slow_core.json": lambda text: slow_core.in_words(slow_core.from_json(text)),
+        "start.json": lambda text: start.in_words(start.from_json(text)),
+        "size.json": lambda text: size.in_words(size.from_json(text)),
+        "bus.json": lambda text: servo_bus.in_words(servo_bus.from_json(text)),
+        "checksums.json": lambda text: checksums.in_words(checksums.from_json(text)),
+        "servos.json": lambda text: servo_packets.in_words(servo_packets.from_json(text)),
+        "access.json": lambda text: access.in_words(access.from_json(text)),
+        "page.json": lambda text: page.in_words(page.from_json(text)),
+        "recording.json": lambda text: recording.in_words(recording.from_json(text)),
+        "calibration.json": lambda text: calibration.in_words(calibration.from_json(text)),
+        "naming.json": lambda text: naming.in_words(naming.from_json(text)),
         "maps.json": lambda text: map_building.in_words(map_building.from_json(text)),
         "table_6_1.json": lambda _: table_text.markdown(planner_table.content(*planner_table.read(DOCS / "table_6_1.json"))),
         "evidence.json": lambda _: table.page(load(), evidence.read()),
@@ -80,7 +116,8 @@ def _table(words: list[str]) -> str:
     if missing or not files:
         raise ValueError(f"a file in docs/ expected in a mark of a table, found {missing[0] if missing else 'none'}")
     if files[0] in _TABLES:
-        return _made(files[0], _TABLES[files[0]]((DOCS / files[0]).read_text(encoding="utf-8")).strip())
+        text = (DOCS / files[0]).read_text(encoding="utf-8")
+        return _made(files[0], _TABLES[files[0]](text).strip(), kept.origin(text))
     kind = words[words.index("--of") + 1] if "--of" in words else "walks"
     if kind == "baselines":  # of all files together
         return baselines_table.markdown(run for name in files for run in results_store.read(DOCS / name)).strip()
@@ -91,13 +128,13 @@ def _table(words: list[str]) -> str:
     return "\n".join([*first, *(row for rows in others for row in rows[2:])])
 
 
-def _made(name: str, text: str) -> str:
-    """Return a table with the commit that made a file, if it is a single one and the table does not name it."""
-    kept, on_file = {part.kept: key for key, part in load().items()}, evidence.read()
-    origin = on_file.get(kept.get(name, ""))
+def _made(name: str, text: str, machine: str) -> str:
+    """Return a table with the commit that made a file, unless there are several or the table names it, and its machine."""
+    part_of, on_file = {part.kept: key for key, part in load().items()}, evidence.read()
+    origin = on_file.get(part_of.get(name, ""))
     if origin is None or len(origin.commits) != 1 or "Made at commit" in text:
         return text
-    return f"{text}\n\nMade {origin.made.words}."
+    return f"{text}\n\nMade {origin.made.words}{machine and f', {machine}'}."
 
 
 def _of_trials(path: Path, kind: str) -> str:

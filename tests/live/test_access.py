@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.live, pytest.mark.rare]
 def test_access_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["access", "--messages", "100", "--out", str(tmp_path)]) == 0
     assert "| what | tried | came through | |" in capsys.readouterr().out
-    rows = {row["what"]: row for row in json.loads((tmp_path / "access.json").read_text())}
+    rows = {row["what"]: row for row in json.loads((tmp_path / "access.json").read_text())["rows"]}
     flood = rows.pop("flood on operator/mode, by an authorised client")
     assert flood["through"] < 100
     assert {row["through"] for row in rows.values()} == {0}

@@ -32,5 +32,5 @@ def test_command_calibrates_a_simulated_robot_into_its_own_file(
     monkeypatch.chdir(tmp_path)
     seeds = ["--seeds", "1001:1002", "--out", "bench"]
     assert benchmarks.main(["calibration", "--scenario", "stairs", *seeds]) == 0  # stairs ahead: refused, and the reason named
-    (row,) = json.loads(Path("bench/calibration.json").read_text())["calibrations"]
+    (row,) = json.loads(Path("bench/calibration.json").read_text())["rows"]
     assert "floor" in row["refusal"]

@@ -12,7 +12,7 @@ def test_horn_that_is_off_is_named_and_nothing_else(tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)
     walks = ["--scenarios", "flat", "--errors", "horn", "--seeds", "1008:1009", "--out", "bench"]
     assert benchmarks.main(["naming", *walks]) == 0
-    (walk,) = json.loads(Path("bench/naming.json").read_text())
+    (walk,) = json.loads(Path("bench/naming.json").read_text())["rows"]
     assert walk["sentence"] == "the coxa servo of the left front leg (id 1): its horn is off by about"
     assert walk["named_at"] <= 15
     assert walk["others"] == []

@@ -51,7 +51,7 @@ def test_bus_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert cli.main([*words, "--json"]) == 0
     table = json.loads((tmp_path / "bus.json").read_text())
     assert table == json.loads(capsys.readouterr().out)
-    assert [row["case"] for row in table] == [case for case in servo_bus.CASES if "have two b" in case]
+    assert [row["case"] for row in table["rows"]] == [case for case in servo_bus.CASES if "have two b" in case]
 
 
 def test_unknown_case_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -72,11 +72,11 @@ def test_whole_packet_with_other_values_is_found_in_noise(name: str) -> None:
 def test_checksums_command_writes_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["checksums", "--answers", "100", "--servo", "XL430-W250", "--out", str(tmp_path)]
     assert cli.main(words) == 0
-    assert "\n| servo | spoilt |" in capsys.readouterr().out
+    assert "\n| servo | one bit flipped |" in capsys.readouterr().out
     assert cli.main([*words, "--json"]) == 0
     table = json.loads((tmp_path / "checksums.json").read_text())
     assert table == json.loads(capsys.readouterr().out)
-    assert [row["way"] for row in table] == list(checksums.WAYS)
+    assert [row["way"] for row in table["rows"]] == list(checksums.WAYS)
 
 
 def test_unknown_servo_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ def test_cycle_command_times_standing_and_walking(tmp_path: Path, capsys: pytest
     assert cli.main(words) == 0
     table = json.loads(capsys.readouterr().out)
     assert table == json.loads((tmp_path / "cycle.json").read_text(encoding="utf-8"))
-    standing, walking = table["cycles"]
+    standing, walking = table["rows"]
     assert (standing["kind"], walking["kind"]) == ("standing", "walking")
     assert walking["cycles"] >= 40
     for row in (standing, walking):
