@@ -1,10 +1,13 @@
 """Build of a wheel that contains the compiled inner loops: see `make wheel`.
 
-`SEXTANT_COMPILE` in the environment is an interpreter that has what the extra `all` needs. Without it nothing is compiled.
+`SEXTANT_COMPILE` in the environment is an interpreter that has what the extra `all` needs. The wheel then has the name of its
+platform, since each kind of machine has another one. Without it nothing is compiled, and the wheel is for any platform.
 """
 
 import os
 import subprocess
+import sysconfig
+import tempfile
 from pathlib import Path
 
 from setuptools import setup
@@ -19,9 +22,13 @@ class CompiledBuild(build_py):
         super().run()
         python = os.environ.get("SEXTANT_COMPILE")
         if python and not self.editable_mode:
-            around = os.environ | {"PYTHONPATH": str(Path(self.build_lib).resolve()), "PYTHONDONTWRITEBYTECODE": "1"}
-            around.pop("NUMBA_CACHE_DIR", None)  # the code belongs next to its source
-            subprocess.run([python, "-m", "sextant.deploy.launch.warm_up"], cwd=self.build_lib, env=around, check=True)
+            with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
+                place = Path(folder, "lib")  # compiled code holds the names of its files: none of the builder's own folders
+                place.symlink_to(Path(self.build_lib).resolve())
+                around = os.environ | {"PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"}
+                around.pop("NUMBA_CACHE_DIR", None)  # the code belongs next to its source
+                subprocess.run([python, "-m", "sextant.deploy.launch.warm_up"], cwd=folder, env=around, check=True)
 
 
-setup(cmdclass={"build_py": CompiledBuild})
+compiled = {"bdist_wheel": {"plat_name": sysconfig.get_platform()}} if os.environ.get("SEXTANT_COMPILE") else {}
+setup(cmdclass={"build_py": CompiledBuild}, options=compiled)

@@ -1,9 +1,11 @@
 """A wheel with the compiled inner loops: an installed package compiles nothing."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
 
@@ -32,7 +34,9 @@ def test_package_installed_from_wheel_compiles_nothing(tmp_path: Path) -> None:
     build = [sys.executable, "-m", "pip", "--quiet", "wheel", "--no-deps", "--wheel-dir", str(tmp_path), "."]
     subprocess.run(build, cwd=source, env=outside | {"SEXTANT_COMPILE": sys.executable}, check=True, timeout=1200)
     (wheel,) = tmp_path.glob("*.whl")
+    assert wheel.stem.endswith(f"-py3-none-{re.sub('[-.]', '_', sysconfig.get_platform())}")
     zipfile.ZipFile(wheel).extractall(installed)
+    assert not [path for path in installed.rglob("*") if path.is_file() and str(tmp_path).encode() in path.read_bytes()]
     for place in ({}, {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}):  # the second stands for a folder without write permission
         around = outside | {"PYTHONPATH": str(installed), **place}
         done = subprocess.run(

@@ -8,31 +8,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
+
+from tests.support.distributions import closure
 
 ROOT = Path(__file__).parents[3]
 MOST_MB = 150.0
 HEAVY = {"cv2", "numba", "mujoco", "kiss_icp", "scipy", "matplotlib", "llvmlite", "mcap"}
-
-
-def closure(wanted: Iterable[str]) -> set[str]:
-    """Return the names of all distributions that the requirements need here."""
-    found: dict[str, set[str]] = {}  # names with the extras that are already resolved
-    waiting = [Requirement(text) for text in wanted]
-    while waiting:
-        one = waiting.pop()
-        extras, name = {"", *one.extras}, canonicalize_name(one.name)
-        if one.marker is not None and not one.marker.evaluate():
-            continue
-        new = extras - found.setdefault(name, set())
-        found[name] |= new
-        for text in importlib.metadata.requires(name) or []:
-            inner = Requirement(text)
-            if any(inner.marker is None or inner.marker.evaluate({"extra": extra}) for extra in new):
-                inner.marker = None
-                waiting.append(inner)
-    return set(found)
 
 
 def megabytes(paths: Iterable[Path]) -> float:

@@ -141,9 +141,11 @@ def test_images_install_pinned_wheels_of_their_extra() -> None:
         assert name in extras
         (install,) = [line for line in targets[name].splitlines() if "pip install" in line]
         assert install.endswith(f'sextant-*.whl)[{name}]"')
-        assert "--constraint /constraints.txt" in install
-        assert "--only-binary :all:" in install
+        assert "--no-index --find-links /wheels" in install
         assert "USER 1000:1000" in targets[name].splitlines()
+    (download,) = [line for line in targets["wheel"].splitlines() if "pip download" in line]
+    for option in ("--require-hashes", "--only-binary :all:", "--requirement /requirements.txt", "--dest /wheels"):
+        assert option in download
     command = json.loads(targets["demo"].removeprefix("CMD "))
     assert parse(cli.sextant, "sextant", command[1:]).path == "sextant demo"
     assert not re.search(r"gcc|build-essential|g\+\+", "".join(targets.values()))
