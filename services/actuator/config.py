@@ -1,7 +1,9 @@
 """Settings of the actuator."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from types import MappingProxyType
+from typing import ClassVar, Literal
 
 from sextant.services.actuator.estimation.params import ContactParams, TouchdownParams
 from sextant.services.actuator.locomotion.params import PostureParams
@@ -25,6 +27,7 @@ class ActuatorParams(Params):
     contact: ContactParams = field(default_factory=ContactParams)
     posture: PostureParams = field(default_factory=PostureParams)
 
+    renamed: ClassVar[Mapping[str, str]] = MappingProxyType({"level_gain": "posture.gain"})  # settings of version 0.1
     checks = (
         config.together(
             "unload_s load_s",

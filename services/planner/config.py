@@ -1,7 +1,9 @@
 """Settings of the planner."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from types import MappingProxyType
+from typing import ClassVar, Literal
 
 from sextant.services.planner.gap_crossing.params import GapApproachParams, GapDetectionParams
 from sextant.services.planner.locomotion.params import BlindWalkingParams, GaitChoiceParams, RevisionParams, StepParams
@@ -26,6 +28,29 @@ class PlannerParams(Params):
     gap_detection: GapDetectionParams = field(default_factory=GapDetectionParams)
     gap_approach: GapApproachParams = field(default_factory=GapApproachParams)
     gap_crossing: GapCrossingParams = field(default_factory=GapCrossingParams)
+
+    renamed: ClassVar[Mapping[str, str]] = MappingProxyType(  # settings of version 0.1
+        {
+            "handover_s": "step.handover_s",
+            "max_turn_deg": "step.max_turn_deg",
+            "max_lean_deg": "step.max_lean_deg",
+            "max_tilt_deg": "step.max_tilt_deg",
+            "uneven": "step.rough_m",
+            "path_margin": "step.path_margin_m",
+            "sink_margin": "step.sink_margin_m",
+            "leg_margin": "step.leg_margin_m",
+            "touch_step_s": "blind_walking.step_s",
+            "touch_stride": "blind_walking.stride_m",
+            "touch_width": "blind_walking.width_ratio",
+            "touch_lift": "blind_walking.lift_m",
+            "plan_from": "revision.plan_from_phase",
+            "retarget_until": "revision.retarget_until_phase",
+            "retarget_from_m": "revision.retarget_from_m",
+            "pose_age_s": "revision.pose_age_s",
+            "map_age_s": "revision.map_age_s",
+            "revise_s": "revision.interval_s",
+        }
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,8 @@
 
 A dataclass is its own schema. The field types define the expected types, fields with defaults are optional, `checks` define
 conditions of the values, and `__post_init__` refuses other invalid combinations. Unknown keys are errors, and nothing is
-repaired. In a union of dataclasses the key `kind`, a Literal in each member, selects the member.
+repaired. In a union of dataclasses the key `kind`, a Literal in each member, selects the member. A schema's `renamed` maps keys
+of earlier versions to present ones; the error of an old key names the new one.
 """
 
 import dataclasses
@@ -265,7 +266,7 @@ def _build_dataclass(
     fields = {f.name: f for f in dataclasses.fields(schema) if f.init}
     before = len(problems)
     unknown = sorted(str(key) for key in table.keys() - fields.keys())
-    problems += [f"{_join(where, key[:60])}: unknown key; {hint(key, sorted(fields), 'known keys')}" for key in unknown]
+    problems += [f"{_join(where, key[:60])}: unknown key; {_instead(key, schema, fields)}" for key in unknown]
     misspelt = {nearest(key, sorted(fields)) for key in unknown}
     values: dict[str, object] = {}
     for name, field in fields.items():
@@ -285,6 +286,12 @@ def _build_dataclass(
     except ValueError as error:
         problems.append(f"{where}: {error}" if where else str(error))  # at the top level, the error names its key
         return _INVALID
+
+
+def _instead(key: str, schema: type[Any], known: Iterable[str]) -> str:
+    """Return what to write in place of an unknown key."""
+    new = getattr(schema, "renamed", {}).get(key)
+    return f"it is now {new!r}" if new else hint(key, sorted(known), "known keys")
 
 
 def _default(field: dataclasses.Field[Any]) -> object:

@@ -181,7 +181,7 @@ def topic_named(key: str, namespace: str = "sextant") -> Topic[Any]:
     for topic in TOPICS:
         if topic.key == bare:
             return topic
-    near = spelling.nearest(bare, (topic.key for topic in TOPICS))
+    near = RENAMED.get(bare) or spelling.nearest(bare, (topic.key for topic in TOPICS))
     raise ValueError(f"no topic {key!r}; {f'did you mean {near!r}? ' if near else ''}`sextant topics list` lists all topics")
 
 
