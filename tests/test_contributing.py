@@ -41,6 +41,15 @@ def test_citation_is_valid_yaml_with_package_version() -> None:
     assert {reference["authors"][0]["family-names"] for reference in cited["references"]} == {"Lotriet", "Masri"}
 
 
+def test_changelog_begins_with_package_version() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    newest, *older = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    assert f'version = "{newest.splitlines()[0]}"' in project
+    assert older
+    assert re.findall(r"^### (.*)$", newest, re.MULTILINE) == ["Added", "Changed", "Removed", "Fixed"]
+
+
 def test_pre_commit_hooks_match_make_check() -> None:
     hooks = {hook["id"]: hook for hook in yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]}
     (recipe,) = re.findall(r"^check:[^\n]*\n((?:\t[^\n]*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
