@@ -155,7 +155,7 @@ class Client:
         """
         status = self._commander.newest
         if status is None:
-            raise ClientError(_SILENT)
+            raise ClientError(self._commander.silence())
         return status
 
     @property
@@ -421,9 +421,9 @@ class Client:
                 now = time.monotonic()
                 heard_s = heard_s if status is None else now
                 if now - heard_s > silent_s:
-                    raise ClientError(_SILENT)
+                    raise ClientError(self._commander.silence())
                 if now >= until:
-                    raise ClientError(f"{failure}: {_SILENT if status is None else _text(status)}")
+                    raise ClientError(f"{failure}: {self._commander.silence() if status is None else _text(status)}")
                 self._commander.changed.wait(min(until - now, 0.5))
 
 
@@ -454,6 +454,7 @@ class Commander:
         self.leads = False  # whether this client has commanded the robot and no other client has led it since
         self.refused_by_router = ""  # why a router has refused the newest command, or an empty text
         self._may_lead, self._take = may_lead, take
+        self._unreadable = ""  # why the newest state is refused, or an empty text
         self._robot = RobotClockEstimate()
         self._holder = ""  # of the lease, in the newest state
         self._has_commanded = False  # whether this client has given a command to move
@@ -465,6 +466,10 @@ class Commander:
     def status(self) -> str:
         """Return the command that is repeated, or an empty text."""
         return "" if self._command is None else self._command[0]
+
+    def silence(self) -> str:
+        """Return why there is no state of the actuator."""
+        return self._unreadable or _SILENT
 
     def give(self, command: Command) -> int:
         """Start to repeat a command; return its sequence number, a time [ns] of the robot's clock."""
@@ -498,6 +503,7 @@ class Commander:
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Publish the messages that are due, and keep the newest messages of the robot."""
         state = inbox.fresh(topics.ACTUATOR_STATE, _SILENT_S)
+        self._unreadable = inbox.refusal_of(topics.ACTUATOR_STATE)
         with self._lock:
             if self._robot.see(tick.stamp_ns, None if state is None else state.stamp_ns):
                 self._command = None  # the robot's clock has restarted: earlier commands are void

@@ -115,7 +115,7 @@ class Order:
             yield from self._words_of_it(self._robot())
         if not self._robot.in_doubt:
             self._clear_ns = now
-            self._see(state, now - self._begun_ns)
+            self._see(state, now - self._begun_ns, inbox.refusal_of(topics.ACTUATOR_STATE))
         elif now - self._clear_ns > _PATIENCE_NS:
             self._end(f"the robot's messages of the last {_PATIENCE_NS * 1e-9:.0f} s have times that do not agree")
 
@@ -142,12 +142,11 @@ class Order:
         if self._what in STOPS:  # also where this machine's router is chained to one that only lets it stop
             yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
 
-    def _see(self, state: ActuatorState | None, since_ns: int) -> None:
+    def _see(self, state: ActuatorState | None, since_ns: int, unreadable: str) -> None:
         if self._heard is None or state is None:
             if since_ns > _UNHEARD_NS:
-                self._end(
-                    f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s; is it up, with this endpoint and namespace?"
-                )
+                why = f": {unreadable}" if unreadable else "; is it up, with this endpoint and namespace?"
+                self._end(f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s{why}")
             return
         self.words = f"{state.mode}: {state.reason}"
         refused = refusal(self._what, self._holder, state)

@@ -148,8 +148,11 @@ def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int],
 
     def hear(_topic: object, frame: bytes) -> None:
         with contextlib.suppress(codec.DecodeError):  # the inbox refuses, counts and reports it
-            robot.heard(codec.label(frame).timing.sent_ns)
+            label = codec.label(frame)
+            robot.heard(label.timing.sent_ns)
+            schemas.add(label.schema_id)
 
+    schemas: set[str] = set()
     link.subscribe(topics.ACTUATOR_STATE, hear)
     told = False
     while not robot.known and not stop.wait(_LOOK_S):
@@ -157,6 +160,14 @@ def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int],
         if not told:
             logging.info("waiting for the robot: no message on %s yet", topics.ACTUATOR_STATE.key)
             told = True
+    expected = codec.schema_id(topics.ACTUATOR_STATE.type)
+    if other := sorted(schemas - {expected}):
+        logging.warning(
+            "%s: schema %s expected, found %s: the robot runs another version of Sextant; install the same on both",
+            topics.ACTUATOR_STATE.key,
+            expected,
+            other[0],
+        )
     clock.go_by(robot)
     return lambda: robot.ahead_s
 

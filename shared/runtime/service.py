@@ -162,6 +162,7 @@ class Inbox:
             length = 1 if topic.delivery is Delivery.LATEST else QUEUE_LENGTH
             self._frames[topic.key] = deque(maxlen=length)
         self._newest: dict[str, tuple[Message, int]] = {}
+        self._refusals: dict[str, str] = {}  # topic key -> why its last frame was refused, until a valid one comes
         self._fetch: dict[str, Callable[[], list[Frame]]] = {}
         self._lock = threading.Lock()
 
@@ -242,12 +243,18 @@ class Inbox:
             if timing.began_ns > 0 and topic.key not in self._fetch:
                 self._stages.add(f"latency {topic.key}", (at_ns - timing.began_ns) * 1e-6)
             self._newest[topic.key] = (message, at_ns)
+            if self._refusals:
+                self._refusals.pop(topic.key, None)
             messages.append(message)
         return messages
 
     def _refuse(self, topic: AnyTopic, why: str) -> None:
         self.refused += 1
-        self.last_refusal = f"{topic.key}: {why}"[:500]
+        self.last_refusal = self._refusals[topic.key] = f"{topic.key}: {why}"[:500]
+
+    def refusal_of(self, topic: AnyTopic) -> str:
+        """Return why the last frame of a topic was refused; an empty text if it was valid, or if there was none."""
+        return self._refusals.get(topic.key, "")
 
     def _look(self, topic: AnyTopic) -> None:
         fetch = self._fetch.get(topic.key)

@@ -118,7 +118,7 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
         why = (
             "the sender publishes another type under this key"
             if of_other_type
-            else "sender and receiver are different versions"
+            else "sender and receiver need the same version of Sextant"
         )
         raise DecodeError(f"schema {layout.schema_id} expected, found {found}: {why}")
     if len(values) != len(layout.fields):

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.wire import codec
 from sextant.shared.wire.messages import ActuatorState, Mode
 
 
@@ -39,3 +40,8 @@ def actuator_state(profile: RobotProfile, **changes: Any) -> ActuatorState:
         "warnings": (),
     }
     return ActuatorState(**(values | changes))
+
+
+def frame_of_version_0_1(profile: RobotProfile) -> bytes:
+    """Return an actuator state under the schema that it had in version 0.1."""
+    return codec.encode(actuator_state(profile)).replace(codec.schema_id(ActuatorState).encode(), b"ActuatorState:5576558f")

@@ -33,7 +33,7 @@ from sextant.shared.wire.messages import (
     VelocityCommand,
 )
 from sextant.shared.wire.transport import TransportError
-from tests.support.states import actuator_state
+from tests.support.states import actuator_state, frame_of_version_0_1
 
 MS = 1_000_000
 BEAT_NS = 50 * MS
@@ -182,6 +182,13 @@ def test_interrupted_motion_raises_its_cause_at_once(robot: Robot) -> None:
         with pytest.raises(ClientError, match="`stand` was interrupted: no servo answers; then order it again"):
             me.stand()
         assert robot.now_ns - began_ns < 2_000 * MS
+
+
+def test_client_names_another_version_of_the_robot(robot: Robot) -> None:
+    robot.silent = True
+    robot.then = lambda: robot.inbox.receive(topics.ACTUATOR_STATE, frame_of_version_0_1(PROFILE), robot.now_ns)
+    with pytest.raises(ClientError, match="found ActuatorState:5576558f: sender and receiver need the same version"):
+        Client(name="me")
 
 
 def test_silent_actuator_has_no_state(robot: Robot) -> None:

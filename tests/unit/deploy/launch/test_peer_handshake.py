@@ -263,5 +263,5 @@ def test_undecodable_presence_is_reported() -> None:
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator")
     robot.link.frames["machine/presence/base"] += [b"\x05\x00\x00\x00hello", of_another_version(BASE)]
     run_machines(clock, 1.0, robot)
-    assert "different versions" in robot.said[-1]
+    assert "the same version" in robot.said[-1]
     assert "cannot be decoded" in robot.link.health[-1].status

@@ -14,7 +14,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, Health, Mode, ModeCommand, StopOrder, Tick
-from tests.support.states import actuator_state
+from tests.support.states import actuator_state, frame_of_version_0_1
 
 MS = 1_000_000
 PROFILE = load_profile("phantomx_mk2")
@@ -159,6 +159,14 @@ def test_order_times_out_without_actuator_or_mode_change() -> None:
     desk.run_ticks(2)
     desk.run_ticks(320, lease="me")
     assert desk.order.failed == "15 s after the order the mode is walk: walking"
+
+
+def test_order_to_a_robot_of_another_version_names_the_versions() -> None:
+    desk = OrderBench(Order("stand", "me"))
+    desk.state = None
+    desk.inbox.receive(topics.ACTUATOR_STATE, frame_of_version_0_1(PROFILE), 0)
+    desk.run_ticks(110)
+    assert "found ActuatorState:5576558f: sender and receiver need the same version of Sextant" in desk.order.failed
 
 
 def test_unanswered_order_names_routers_on_the_way() -> None:

@@ -202,5 +202,5 @@ def test_non_recording_is_refused_with_advice(tmp_path: Path) -> None:
 def test_frames_of_other_version_are_refused(tmp_path: Path) -> None:
     with Recorder(tmp_path / "r", ABOUT) as recorder:
         recorder.write(topics.VELOCITY, of_another_version(velocity(0, np.random.default_rng(0))), 0)
-    with pytest.raises(RecordingError, match="different versions"):
+    with pytest.raises(RecordingError, match="the same version"):
         list(read(tmp_path / "r"))

@@ -19,11 +19,13 @@ from hypothesis import strategies as st
 
 from sextant.shared.files.config import ConfigError
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import process, shutdown
 from sextant.shared.runtime.service import Every, Inbox, Stages
 from sextant.shared.runtime.simulated_time import SimulatedTime
 from sextant.shared.wire.messages import Message
 from sextant.shared.wire.transport import Endpoints, TransportError
+from tests.support.states import frame_of_version_0_1
 
 PATIENCE_S = 180.0  # for anything that may take long on a busy machine
 
@@ -363,3 +365,15 @@ def test_process_without_its_parent_does_not_start(monkeypatch: pytest.MonkeyPat
     with pytest.raises(SystemExit) as caught:
         run(lambda *_: Beating(end_self), [*CONNECT, "--parent", str(os.getppid() + 1)])
     assert caught.value.code == 1
+
+
+def test_robot_of_another_version_is_named(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    class Robot:
+        def subscribe(self, topic: object, hear: Callable[[object, bytes], None]) -> None:
+            hear(topic, frame_of_version_0_1(load_profile("phantomx_mk2")))
+
+    monkeypatch.setattr(process.clock, "go_by", lambda _clock: None)
+    monkeypatch.setattr(process.clock.RobotClock, "known", True)
+    process._follow_robot(Robot(), threading.Event(), lambda _now_ns: None)
+    (line,) = [record.message for record in caplog.records if record.levelno == logging.WARNING]
+    assert "found ActuatorState:5576558f: the robot runs another version of Sextant" in line

@@ -420,7 +420,7 @@ def test_other_message_type_or_version_is_named() -> None:
     assert codec.schema_id(m.Imu) in words
     assert codec.schema_id(m.Odometry) in words
     assert "another type" in words
-    assert "different versions" in refusal(framed(m.ModeCommand, [0, "off", 1], name="ModeCommand:00000000"), m.ModeCommand)
+    assert "the same version" in refusal(framed(m.ModeCommand, [0, "off", 1], name="ModeCommand:00000000"), m.ModeCommand)
 
 
 @pytest.mark.parametrize("fields", [[], [0], [0, "off", 1], [0, "off", 1, "me", False, 1]])
