@@ -6,14 +6,12 @@ the body over the standing legs; another one ends when the swinging feet are dow
 torque off.
 """
 
-import json
 import math
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +20,6 @@ from benchmarks.page.browser import DESKTOP, Hand, browser, frozen
 from benchmarks.page.page_robot import PageRobot
 from benchmarks.peers import kept
 from sextant.services.console.web.control_arbiter import DEAD_MAN_NS
-from sextant.shared.files import config
 from sextant.shared.wire.messages import Mode
 
 # Limits of the page: times, share of a core, bytes per second, frames per second.
@@ -40,13 +37,15 @@ class Delay:
     """Several measurements of a delay."""
 
     what: str
-    limit_s: float  # NaN for none
-    seconds: tuple[float, ...]
+    seconds: tuple[float, ...]  # those with an end
+    never: int = 0  # those without
+    limit_s: float | None = None
 
-    @property
-    def kept(self) -> bool:
-        """Whether all are within the limit."""
-        return not max(self.seconds) > self.limit_s
+    @classmethod
+    def of(cls, what: str, seconds: Sequence[float], limit_s: float | None = None) -> "Delay":
+        """Collect measurements; infinite ones have no end."""
+        finite = tuple(s for s in seconds if math.isfinite(s))
+        return cls(what, finite, len(seconds) - len(finite), limit_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,16 +106,16 @@ def measure(rounds: int, say: Callable[[str], object]) -> Measured:
     delays = (
         *_delays("pad released", RELEASE_S, released),
         *_delays("browser frozen", FROZEN_S, stopped),
-        Delay("torque off", OFF_S, tuple(off)),
+        Delay.of("torque off", off, OFF_S),
     )
     return Measured(delays, cost)
 
 
 def _delays(what: str, limit_s: float, stops: Sequence[_Stop]) -> tuple[Delay, ...]:
     return (
-        Delay(f"{what}: the console orders to stop", math.nan, tuple(stop.ordered_s for stop in stops)),
-        Delay(f"{what}: the body rests", limit_s, tuple(stop.body_s for stop in stops)),
-        Delay(f"{what}: all feet are down and still", math.nan, tuple(stop.feet_s for stop in stops)),
+        Delay.of(f"{what}: the console orders to stop", [stop.ordered_s for stop in stops]),
+        Delay.of(f"{what}: the body rests", [stop.body_s for stop in stops], limit_s),
+        Delay.of(f"{what}: all feet are down and still", [stop.feet_s for stop in stops]),
     )
 
 
@@ -229,10 +228,12 @@ def in_words(found: Measured) -> str:
         "|---|---|---|---|---|---|",
     ]
     for delay in found.delays:
-        p50, p99, worst = (f"{1e3 * v:.0f}" for v in _percentiles(delay.seconds))
-        limit, n = ("" if math.isnan(delay.limit_s) else f"{1e3 * delay.limit_s:.0f}"), len(delay.seconds)
-        kept = f"{sum(s <= delay.limit_s for s in delay.seconds)} of {n}" if limit else f"{n} times"
-        lines.append(f"| {delay.what} | {p50} | {p99} | {worst} | {limit} | {kept} |")
+        p50, p99, worst = (f"{1e3 * v:.0f}" for v in _percentiles([*delay.seconds, *[math.inf] * delay.never]))
+        limit, most_s, n = "", delay.limit_s, len(delay.seconds) + delay.never
+        within = f"{n} times"
+        if most_s is not None:
+            limit, within = f"{1e3 * most_s:.0f}", f"{sum(s <= most_s for s in delay.seconds)} of {n}"
+        lines.append(f"| {delay.what} | {p50} | {p99} | {worst} | {limit} | {within} |")
     cost = found.cost
     lines += [
         "",
@@ -245,34 +246,13 @@ def in_words(found: Measured) -> str:
 
 
 def to_json(found: Measured) -> str:
-    """Return the results as JSON.
-
-    Values that are not finite become null: a limit that does not exist, or a time without an end.
-    """
-    delays = [
-        {"what": d.what, "limit_s": _finite(d.limit_s), "seconds": [_finite(s) for s in d.seconds], "kept": d.kept}
-        for d in found.delays
-    ]
-    made: dict[str, Any] = {"machine": kept.about(), "delays": delays, "cost": asdict(found.cost)}
-    return json.dumps(made, indent=1, allow_nan=False) + "\n"
+    """Return the results as JSON."""
+    return kept.to_json(found)
 
 
 def from_json(text: str) -> Measured:
     """Read results written by `to_json`."""
-    table = json.loads(text)
-    delays = (
-        Delay(d["what"], _number(d["limit_s"], math.nan), tuple(_number(s, math.inf) for s in d["seconds"]))
-        for d in table["delays"]
-    )
-    return Measured(tuple(delays), config.build(table["cost"], Cost))
-
-
-def _number(value: float | None, otherwise: float) -> float:
-    return otherwise if value is None else float(value)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return kept.from_json(text, Measured)
 
 
 def _percentiles(values: Sequence[float]) -> tuple[float, float, float]:
