@@ -22,10 +22,14 @@ class CompiledBuild(build_py):
         super().run()
         python = os.environ.get("SEXTANT_COMPILE")
         if python and not self.editable_mode:
+            find = "import sysconfig; print(sysconfig.get_path('purelib'))"
+            installed = subprocess.run([python, "-c", find], capture_output=True, text=True, check=True).stdout.strip()
             with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
-                place = Path(folder, "lib")  # compiled code holds the names of its files: none of the builder's own folders
-                place.symlink_to(Path(self.build_lib).resolve())
-                around = os.environ | {"PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"}
+                # Compiled code holds the names of its files and of NumPy's; these name none of the builder's own folders.
+                places = {Path(folder, "lib"): Path(self.build_lib).resolve(), Path(folder, "packages"): Path(installed)}
+                for link, place in places.items():
+                    link.symlink_to(place)
+                around = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, places)), "PYTHONDONTWRITEBYTECODE": "1"}
                 around.pop("NUMBA_CACHE_DIR", None)  # the code belongs next to its source
                 subprocess.run([python, "-m", "sextant.deploy.launch.warm_up"], cwd=folder, env=around, check=True)
 

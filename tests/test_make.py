@@ -63,6 +63,31 @@ def test_make_live_names_every_file_with_live_tests() -> None:
     assert marked == {path for path in files if any(path.is_relative_to(place) for place in named.split())}
 
 
+@pytest.mark.parametrize(
+    ("found", "status", "left"),
+    [
+        ('{"name": "a", "version": "1", "vulns": []}', 0, "audit.json"),
+        ('{"name": "a", "version": "1", "vulns": [{"id": "CVE-1"}]}', 1, "audit.json"),
+        ('{"name": "a", "skip_reason": "not found"}', 0, "audit.txt"),
+        ("", 1, "audit.txt"),  # the tool failed, as without a network
+    ],
+    ids=["nothing known", "vulnerable", "no data", "no network"],
+)
+def test_audit_fails_for_a_vulnerability_and_says_so_without_data(tmp_path: Path, found: str, status: int, left: str) -> None:
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    write = f"""printf '%s' '{{"dependencies": [{found}]}}' > dist/audit.json\n""" if found else ""
+    (tools / "pip-audit").write_text(f"#!/bin/sh\n{write}exit {status}\n")
+    (tools / "pip-audit").chmod(0o755)
+    (tools / "uv").touch()
+    make = ["make", "--no-print-directory", "audit", f"TOOLS={tools}"]
+    done = subprocess.run(make, cwd=tmp_path, env=ALONE, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode != 0) == ("CVE-1" in found), done.stdout + done.stderr
+    assert [path.name for path in (tmp_path / "dist").iterdir()] == [left]
+    assert ("Not audited" in done.stdout) == (left == "audit.txt")
+
+
 @pytest.mark.parametrize("end", ["exit 0", "exit 1", "kill -TERM $PPID; exec sleep 0.1"])
 def test_live_marker_file_is_removed_after_any_exit(tmp_path: Path, end: str) -> None:
     (tmp_path / "bin").mkdir()
