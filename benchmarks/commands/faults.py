@@ -39,6 +39,7 @@ def faults(
     """Inject faults at many phases of a step, and check the robot's reaction."""
     from benchmarks.faults.cases import BY_NAME, CAMERA_CASES, CASES, GRIDS, LIVE_CASES
     from benchmarks.faults.fault_run import SCENARIO
+    from benchmarks.faults.robot_cases import of_robot
 
     of_grid = {grid: [case.name for case in cases] for grid, cases in GRIDS.items()}
     names = tuple(match for name in names for match in of_grid.get(name) or fnmatch.filter(BY_NAME, name) or [name])
@@ -61,20 +62,24 @@ def faults(
     if live and robot != SCENARIO.robot:
         raise InputError(f"--robot: {SCENARIO.robot} expected with live faults, found {robot}; other robots walk in lockstep")
     profile = load_profile(robot)
-    if profile.servo.pulses is not None:
-        raise InputError(
-            f"--robot: a robot on a servo bus expected, found {robot}, whose goals are pulses; see docs/hobby_servos.md"
-        )
+    if len(profile.servos.buses) > 1 or (profile.servo.pulses and profile.servo.pulses.board != "maestro"):
+        raise InputError(f"--robot: a robot with one servo bus or a Maestro expected, found {robot}")
+    possible = {case.name: case for case in of_robot(cases, profile)}
+    missing = ", ".join(case.name for case in cases if case.name not in possible)
+    if not possible:
+        raise InputError(f"{missing}: hobby servos, as of {robot}, do not report this; see docs/hobby_servos.md")
     folder = out_folder(out, "faults")
     from benchmarks.faults import table as tables
     from benchmarks.faults.batch import FILE, run_faults
 
     progress = open_progress(as_json)
+    if missing:
+        progress.say(f"left out, since hobby servos do not report it: {missing}")
     if live:
         warm_up(progress)
     count = phases or (_LIVE_PHASES if live else _PHASES)
-    found = run_faults(cases, count, 1 if live else jobs, folder, progress.say, robot=robot)
-    table = tables.rows(found)
+    found = run_faults(list(possible.values()), count, 1 if live else jobs, folder, progress.say, robot=robot)
+    table = tables.rows(found, possible)
     say(tables.to_json(table).rstrip("\n") if as_json else tables.markdown(table))
     whole_files.write_text(folder / "faults.json", tables.to_json(table), durable=True)
     whole_files.write_text(folder / "faults.md", tables.markdown(table) + "\n")

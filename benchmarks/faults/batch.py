@@ -16,12 +16,14 @@ from benchmarks.faults.cases import BY_NAME, Case
 from benchmarks.faults.fault_run import SCENARIO, in_walks
 from benchmarks.faults.live_walk import LiveWalk
 from benchmarks.faults.lockstep_walk import FaultWalk
+from benchmarks.faults.robot_cases import of_robot
 from benchmarks.faults.walk_verdict import Outcome, score
 from sextant.evaluation import provenance
 from sextant.evaluation.trials import results_store
 from sextant.evaluation.trials.environment import fingerprint, refuse_another_program
 from sextant.shared.files import whole_files
 from sextant.shared.files.input_file import FileError, parse_json, read_bytes
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.workers import share_out
 
 FILE = "faults.jsonl"
@@ -98,7 +100,7 @@ def inject(name: str, numbers: tuple[int, ...], robot: str = SCENARIO.robot) -> 
 
     Live walks are those of the default robot.
     """
-    case = BY_NAME[name]
+    (case,) = of_robot([BY_NAME[name]], load_profile(robot))
     begin = LiveWalk if case.live else partial(CameraWalk if case.course else FaultWalk, robot=robot)
     return [
         Injection(name, number, seed, line.begin_s, line.phase, line.servo, score(line, case, profile))

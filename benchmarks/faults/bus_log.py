@@ -3,6 +3,7 @@
 It records goals sent by the host, and torque switches and resets received by the servos.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import Kind, Recovery, Register, Request
 
-_SIDES = ("sent", "heard")
+SIDES = ("sent", "heard")
 
 
 class Role(Enum):
@@ -49,8 +50,8 @@ class Outside:
     ticks: int
 
 
-class Recorder:
-    """Decodes bus traffic, and compares every goal with the joint limits."""
+class WireLog(ABC):
+    """Goals and switches on the wire; every goal is compared with the joint limits."""
 
     def __init__(self, profile: RobotProfile):
         """Start without data."""
@@ -58,11 +59,8 @@ class Recorder:
         self.switches: list[Switch] = []
         self.outside: list[Outside] = []
         self._ids = profile.servo_ids.ravel().tolist()
-        self._model = profile.servo_model
-        self._protocol, self._table = self._model.protocol, self._model.table
-        self._parsers = {side: self._protocol.instruction_parser() for side in _SIDES}
         servo = profile.servo_angles(np.moveaxis(profile.joint_limits, -1, 0)).reshape(2, 18)
-        units = self._model.units
+        units = profile.servo_model.units
         ticks = units.centre + np.sort(servo, axis=0) / units.tick_rad
         # a goal is a whole tick: the nearest one may be half a tick beyond the limit
         self._low, self._high = (np.rint(side).clip(0, units.max_position).astype(np.int64) for side in ticks)
@@ -74,6 +72,29 @@ class Recorder:
     def heard(self, data: bytes, now_ns: int) -> None:
         """Process bytes received by the servos."""
         self._hear("heard", data, now_ns)
+
+    @abstractmethod
+    def _hear(self, side: str, data: bytes, now_ns: int) -> None:
+        """Decode bytes, and store what they mean."""
+
+    def _judge(self, t_s: float, values: dict[int, int], speeds: dict[int, int]) -> None:
+        """Store goals, and those outside the joint limits."""
+        before = self.goals[-1].ticks if self.goals else np.full(18, -1)
+        ticks = np.array([values.get(i, old) for i, old in zip(self._ids, before, strict=True)])
+        self.goals.append(Goals(t_s, ticks, np.array([speeds.get(i, 0) for i in self._ids])))
+        for index in np.flatnonzero((ticks >= 0) & ((ticks < self._low) | (ticks > self._high))).tolist():
+            self.outside.append(Outside(t_s, self._ids[index], int(ticks[index])))
+
+
+class Recorder(WireLog):
+    """Decodes the packets of a servo bus."""
+
+    def __init__(self, profile: RobotProfile):
+        """Start without data."""
+        super().__init__(profile)
+        self._model = profile.servo_model
+        self._protocol, self._table = self._model.protocol, self._model.table
+        self._parsers = {side: self._protocol.instruction_parser() for side in SIDES}
 
     def _hear(self, side: str, data: bytes, now_ns: int) -> None:
         for packet in self._parsers[side].feed(data):
@@ -106,11 +127,3 @@ class Recorder:
             self.switches.append(Switch(t_s, side == "heard", role, torque))
         if self._model.recovery is Recovery.TORQUE_LIMIT and (limits := written(table.torque_limit)):
             self.switches.append(Switch(t_s, side == "heard", Role.RESET, limits))
-
-    def _judge(self, t_s: float, values: dict[int, int], speeds: dict[int, int]) -> None:
-        """Store goals, and those outside the joint limits."""
-        before = self.goals[-1].ticks if self.goals else np.full(18, -1)
-        ticks = np.array([values.get(i, old) for i, old in zip(self._ids, before, strict=True)])
-        self.goals.append(Goals(t_s, ticks, np.array([speeds.get(i, 0) for i in self._ids])))
-        for index in np.flatnonzero((ticks >= 0) & ((ticks < self._low) | (ticks > self._high))).tolist():
-            self.outside.append(Outside(t_s, self._ids[index], int(ticks[index])))

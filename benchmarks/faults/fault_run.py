@@ -10,8 +10,9 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.faults.bus_log import Goals, Outside, Recorder, Switch
+from benchmarks.faults.bus_log import Goals, Outside, Recorder, Switch, WireLog
 from benchmarks.faults.cases import Case
+from benchmarks.faults.pulse_log import PulseRecorder
 from benchmarks.faults.timeline import STALE_S, Status, Timeline, Truth, Word
 from sextant.shared.errors import SextantError
 from sextant.shared.robot.profile import RobotProfile
@@ -91,7 +92,7 @@ class FaultRun(ABC):
             robot: Robot profile by name, or path of a TOML file.
         """
         self.profile = load_profile(robot)
-        self.recorder = Recorder(self.profile)
+        self.recorder: WireLog = Recorder(self.profile) if self.profile.servo.pulses is None else PulseRecorder(self.profile)
         self.words: list[Word] = []
         self.state: ActuatorState | None = None
         self._case = case

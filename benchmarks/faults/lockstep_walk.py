@@ -159,8 +159,9 @@ class FaultWalk(FaultRun):
                 self._meddler.how = how
                 return begin + for_s
             case OnBus(fault, any_servo):
-                servo = self._servo if any_servo else fault.servo
-                self._simulator.inject(replace(of_same_angle(fault, self.profile.servo_model), at_s=begin, servo=servo))
+                servo, models = self._servo if any_servo else fault.servo, self.profile.servo_models
+                same = of_same_angle(fault, models.get(servo, self.profile.servo_model))
+                self._simulator.inject(replace(same, at_s=begin, servo=servo))
                 return begin + fault.for_s
             case Late(cycle_s, for_s):
                 self._late_s, self._late_until_s = cycle_s, begin + for_s

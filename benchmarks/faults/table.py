@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from math import ceil, isfinite, isinf, nan
 from typing import Any
@@ -64,13 +64,13 @@ class Row:
         return not self.missed
 
 
-def rows(found: Iterable[Injection]) -> list[Row]:
-    """Return a row for each fault, in order."""
+def rows(found: Iterable[Injection], cases: Mapping[str, Case] = BY_NAME) -> list[Row]:
+    """Return a row for each fault, in order, by the limits of these cases."""
     by_fault: dict[str, list[Injection]] = {}
     for one in found:
         by_fault.setdefault(one.fault, []).append(one)
     return [
-        row(BY_NAME[fault], [one.outcome for one in each], tuple(sorted({one.commit for one in each} - {""})))
+        row(cases[fault], [one.outcome for one in each], tuple(sorted({one.commit for one in each} - {""})))
         for fault, each in by_fault.items()
     ]
 

@@ -179,7 +179,7 @@ class _Check:
 
         The legs share the weight: the forces are the least-squares solution of the balance.
         """
-        most = self._demands.torque * self._profile.servo.stall_torque
+        most = self._demands.torque * self._profile.servos.stall_torque  # (6, 3)
         weight = self._profile.body.total_mass * GRAVITY
         for k in (0, len(q) - 1):
             places = local[k][~swing]
@@ -188,9 +188,9 @@ class _Check:
             forces = np.zeros((6, 3))
             forces[~swing, 2] = np.maximum(share, 0.0)
             torques = np.abs(joint_torques(self._profile, np.nan_to_num(q[k]), forces))
-            if torques.max() > most + 1e-3:
-                leg, joint = (int(n) for n in np.unravel_index(int(torques.argmax()), torques.shape))
-                yield f"{LEGS[leg]} leg: {torques.max():.2f} N m at the {JOINTS[joint]}"
+            if (torques > most + 1e-3).any():
+                leg, joint = (int(n) for n in np.unravel_index(int((torques - most).argmax()), torques.shape))
+                yield f"{LEGS[leg]} leg: {torques[leg, joint]:.2f} N m at the {JOINTS[joint]}"
 
     def _distances(self, points: Array) -> Iterator[str]:
         """Check distances between femurs and tibias (n, 6, 4, 3) of neighbouring legs.

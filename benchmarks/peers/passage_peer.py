@@ -142,7 +142,7 @@ class NumpyTests:
         determinant = sxx * syy - sxy * sxy
         kx, ky = (syy * gx - sxy * gy) / determinant, (sxx * gy - sxy * gx) / determinant
         share = 1.0 / len(standing) + kx[:, None] * off[:, 0] + ky[:, None] * off[:, 1]
-        torque = self._rules.weight * np.maximum(share, 0.0) * np.maximum(np.abs(reach), np.abs(shank))
+        torque = self._rules.weight * np.maximum(share, 0.0) * np.maximum(np.abs(reach), self._rules.knee * np.abs(shank))
         strained = (torque > self._rules.torque) & (np.arange(len(bodies)) < loaded)[:, None]
         return _first(np.where(tests != OK, tests, np.where(strained, TORQUE, OK)))
 

@@ -21,6 +21,6 @@ def check_scenario(scenario: Scenario, seed: int, robot: str) -> None:
     profile = load_profile(robot)
     try:
         for fault in scenario.bus_faults:
-            row_of(fault, list(profile.servo_names), profile.servo_model.table)
+            row_of(fault, profile.servo_models)
     except ValueError as error:
         raise ConfigError(f"scenario {scenario.name}", [str(error)]) from None

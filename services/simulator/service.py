@@ -173,7 +173,7 @@ class Simulator:
 
     def _give(self, buses: Sequence[BusFaults], fault: BusFault, now_ns: int) -> None:
         """Inject a fault into the bus of its servo, or into all buses."""
-        row = row_of(fault, list(self._profile.servo_names), self._profile.servo_model.table)
+        row = row_of(fault, self._profile.servo_models)
         for bus, of_bus in zip(buses, self._profile.servos.buses, strict=True):
             if row < 0 or row in of_bus.rows:
                 bus.inject(fault, now_ns)

@@ -136,6 +136,19 @@ def value(low: int, high: int) -> int:
     return (low & 0x7F) | (high & 0x7F) << 7
 
 
+def targets(packet: Packet) -> dict[int, int]:
+    """Return the targets [quarter us] that a command sets, by channel; empty for other commands."""
+    data = packet.data
+    match packet.command:
+        case Command.SET_TARGET:
+            return {data[0]: value(data[1], data[2])}
+        case Command.SET_MULTIPLE_TARGETS:
+            return {data[1] + k: value(*data[2 + 2 * k : 4 + 2 * k]) for k in range(data[0])}
+        case Command.GO_HOME:
+            return dict.fromkeys(range(MAX_CHANNELS), OFF)
+    return {}
+
+
 def _in_seven_bits(found: int, most: int) -> tuple[int, int]:
     if not 0 <= found <= most:
         raise ValueError(f"0 to {most} expected, found {found}")

@@ -89,8 +89,9 @@ class Rules(NamedTuple):
     half_width: float
     half_height: float
     weight: float  # [N]
-    torque: float  # [N m] permitted servo torque
-    easy_torque: float  # [N m] torque that a servo sustains for hours
+    torque: float  # [N m] permitted torque of a femur servo
+    easy_torque: float  # [N m] torque that a femur servo sustains for hours
+    knee: float  # stall torque of a femur servo divided by that of a tibia servo
     height: float  # [m] of the body over the floor
     climb: float  # [m] maximum height change of the body in a step
     centre_x: float  # [m] centre of mass relative to the body's middle
@@ -377,7 +378,7 @@ def _height_range(table: Array, feet: Array, swing: int, bx: float, by: float) -
 def _stands(
     table: Array, rules: Rules, codes: NDArray[np.int32], feet: Array, swing: int, bx: float, by: float, bz: float, torques: int
 ) -> tuple[int, int, float]:
-    """Return the failed test or OK, its leg, and the greatest torque [N m].
+    """Return the failed test or OK, its leg, and the greatest torque [N m], as of a femur servo.
 
     Feet share the weight like springs under a rigid body: the force is linear in the foot's position and balances the weight.
     """
@@ -411,7 +412,7 @@ def _stands(
         if test != OK:
             return test, leg, 0.0
         force = rules.weight * max(1.0 / n + kx * (x - mx) + ky * (y - my), 0.0)
-        torque = force * max(abs(reach), abs(shank))
+        torque = force * max(abs(reach), rules.knee * abs(shank))
         if torques == _WITH_TORQUES and torque > rules.torque:
             return TORQUE, leg, torque
         worst = max(worst, torque)

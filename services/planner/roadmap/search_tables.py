@@ -58,15 +58,16 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, turning: bool = F
     links, stance, body = profile.links, profile.stance, profile.body
     size = links.femur + links.tibia
     centre = resting_centre_of_mass(profile)
-    weakest = float(profile.servos.stall_torque.min())
+    _, femur, tibia = (float(stall) for stall in profile.servos.stall_torque.min(axis=0))  # coxas bear no weight
     return Rules(
         foot_radius=profile.foot.radius,
         half_length=body.size[0] / 2,
         half_width=body.size[1] / 2,
         half_height=body.size[2] / 2,
         weight=body.total_mass * GRAVITY,
-        torque=settings.torque_share * weakest,
-        easy_torque=_EASY * weakest,
+        torque=settings.torque_share * femur,
+        easy_torque=_EASY * femur,
+        knee=femur / tibia,
         height=settings.body_height or stance.body_height,
         climb=0.5 * stance.max_climb,
         centre_x=float(centre[0]),

@@ -6,7 +6,7 @@ bytes and times give equal responses. Without an active fault, all calls pass th
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
@@ -15,7 +15,7 @@ from sextant.services.simulator.servo_bus.servo_banks import AnyBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.shared.servo import pwm
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK, BusFault
-from sextant.shared.servo.servo_model import BusProtocol, ControlTable, ServoError
+from sextant.shared.servo.servo_model import BusProtocol, ServoError, ServoModel
 from sextant.shared.wire.messages import FaultTarget
 
 _SEC, _MS = 1e9, 1_000_000
@@ -84,12 +84,16 @@ class _Running:
         return 0 if share >= 1.0 else int(math.log(1.0 - self.rng.random()) / math.log(1.0 - share))
 
 
-def row_of(fault: BusFault, ids: Sequence[int], table: ControlTable) -> int:
-    """Return the index of a fault's servo among all ids; -1 without a servo.
+def row_of(fault: BusFault, models: Mapping[int, ServoModel]) -> int:
+    """Return the index of a fault's servo among all servos, with their models by id; -1 without a servo.
 
     Raises:
-        ValueError: The servo does not exist, or servos with this table do not have the fault, or the bit of the fault.
+        ValueError: The servo does not exist, or it does not have the fault, or the bit of the fault.
     """
+    ids = list(models)
+    if fault.servo >= 0 and fault.servo not in ids:
+        raise ValueError(f"{fault}: one of the servos {', '.join(map(str, sorted(ids)))} expected, found {fault.servo}")
+    table = models.get(fault.servo, models[ids[0]]).table
     if table is pwm.TABLE and (
         (fault.target, fault.kind) not in WITHOUT_FEEDBACK or (fault.target == "packets" and fault.servo >= 0)
     ):
@@ -97,8 +101,6 @@ def row_of(fault: BusFault, ids: Sequence[int], table: ControlTable) -> int:
     last_bit = table.goal_position.max.bit_length() - 1
     if (fault.target, fault.kind) == ("servo", "bit") and fault.bit > last_bit:
         raise ValueError(f"{fault}: a bit from 0 to {last_bit} of the goal register expected, found {fault.bit}")
-    if fault.servo >= 0 and fault.servo not in ids:
-        raise ValueError(f"{fault}: one of the servos {', '.join(map(str, sorted(ids)))} expected, found {fault.servo}")
     return ids.index(fault.servo) if fault.servo >= 0 else -1
 
 
@@ -136,7 +138,8 @@ class BusFaults(AnswersOnly):
         Raises:
             ValueError: The fault names a servo or a bit that does not exist.
         """
-        row = row_of(fault, self._bank.column(self._bank.table.id).tolist(), self._bank.table)
+        ids = self._bank.column(self._bank.table.id).tolist()
+        row = row_of(fault, {servo: self._bank.model_of(row) for row, servo in enumerate(ids)})
         begin_ns = max(round(fault.at_s * _SEC), self._simulated(now_ns))
         end_ns = begin_ns + round(fault.for_s * _SEC)
         rng = Random(f"{self._seed} {self._injected}")

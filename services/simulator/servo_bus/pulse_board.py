@@ -119,13 +119,8 @@ class MaestroEmulator(PulseBoardEmulator):
         """Execute a command, and return its answer."""
         data = packet.data
         match packet.command:
-            case Command.SET_TARGET:
-                self._set(data[0], (maestro.value(data[1], data[2]),), now_ns)
-            case Command.SET_MULTIPLE_TARGETS:
-                pairs = zip(data[2::2], data[3::2], strict=True)
-                self._set(data[1], tuple(maestro.value(low, high) for low, high in pairs), now_ns)
-            case Command.GO_HOME:
-                self._set(0, (maestro.OFF,) * maestro.MAX_CHANNELS, now_ns)
+            case Command.SET_TARGET | Command.SET_MULTIPLE_TARGETS | Command.GO_HOME:
+                self._set(maestro.targets(packet), now_ns)
             case Command.GET_POSITION:
                 target = self._targets[data[0]] if data[0] < maestro.MAX_CHANNELS else maestro.OFF
                 return target.to_bytes(2, "little")
@@ -138,13 +133,14 @@ class MaestroEmulator(PulseBoardEmulator):
                 pass  # the host sets none
         return b""
 
-    def _set(self, first: int, targets: tuple[int, ...], now_ns: int) -> None:
-        """Set targets [quarter us] of consecutive channels."""
-        if first + len(targets) > maestro.MAX_CHANNELS:
+    def _set(self, targets: dict[int, int], now_ns: int) -> None:
+        """Set targets [quarter us] of channels."""
+        if max(targets, default=0) >= maestro.MAX_CHANNELS:
             self._parser.errors |= maestro.BoardError.PROTOCOL
             return
-        self._targets[first : first + len(targets)] = targets
-        self._change(now_ns, {first + k: target / TICKS_PER_US for k, target in enumerate(targets)})
+        for channel, target in targets.items():
+            self._targets[channel] = target
+        self._change(now_ns, {channel: target / TICKS_PER_US for channel, target in targets.items()})
 
 
 class Pca9685Emulator(PulseBoardEmulator):

@@ -1,10 +1,14 @@
 """Arguments and output of `python -m benchmarks faults`, without any fault."""
 
+from pathlib import Path
+
 import pytest
 
 from benchmarks.cli import main
 from benchmarks.faults.cases import CAMERA_CASES, CASES, LIVE_CASES
 from sextant.deploy.commands.common import SUCCESS, WRONG_INPUT
+from sextant.shared.robot.profile_text import profile_text
+from tests.support.families import two_bus_robot
 
 
 def listed_faults(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -31,3 +35,15 @@ def test_live_faults_of_another_robot_and_unknown_robots_are_refused(capsys: pyt
     assert "phantomx_mk2 expected with live faults" in capsys.readouterr().err
     assert main(["faults", "sag", "--robot", "printed_sts"]) == WRONG_INPUT
     assert "printed_sts3215" in capsys.readouterr().err
+
+
+def test_faults_that_hobby_servos_do_not_report_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["faults", "sag", "servo-wrong", "--robot", "printed_ds3218"]) == WRONG_INPUT
+    assert "sag, servo-wrong: hobby servos, as of printed_ds3218, do not report this" in capsys.readouterr().err
+
+
+def test_robot_with_two_buses_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "two.toml"
+    path.write_text(profile_text(two_bus_robot()), encoding="utf-8")
+    assert main(["faults", "sag", "--robot", str(path)]) == WRONG_INPUT
+    assert "a robot with one servo bus or a Maestro expected" in capsys.readouterr().err

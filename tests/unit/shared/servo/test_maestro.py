@@ -41,15 +41,16 @@ def test_commands_are_parsed_in_any_pieces(targets: list[tuple[int, int]], devic
     found = parser.feed(stream[:cut]) + parser.feed(stream[cut:])
     assert parser.errors is BoardError.NONE
     assert [one.command for one in found] == [Command.SET_TARGET, Command.GET_ERRORS] * len(targets)
-    assert [(one.data[0], maestro.value(*one.data[1:])) for one in found[::2]] == targets
+    assert [maestro.targets(one) for one in found[::2]] == [dict([one]) for one in targets]
+    assert not any(maestro.targets(one) for one in found[1::2])
 
 
 @given(st.integers(0, 23), st.data())
 def test_several_targets_are_one_command(first: int, data: st.DataObject) -> None:
     targets = data.draw(st.lists(TARGETS, min_size=1, max_size=24 - first))
     (found,) = CommandParser().feed(maestro.set_multiple_targets(first, targets))
-    assert found.data[:2] == bytes((len(targets), first))
-    assert [maestro.value(*found.data[k : k + 2]) for k in range(2, len(found.data), 2)] == targets
+    assert maestro.targets(found) == {first + k: target for k, target in enumerate(targets)}
+    assert maestro.targets(Packet(Command.GO_HOME)) == dict.fromkeys(range(24), maestro.OFF)
 
 
 def test_commands_to_another_board_are_ignored() -> None:
