@@ -102,6 +102,11 @@ class JointServos:
         return self._array("armature")
 
     @cached_property
+    def inertia_s(self) -> float:
+        """Time constant [s] of a rotor's inertia against its servo's stiffness, of the slowest servo: turning, it overshoots."""
+        return float(np.sqrt(self.armature / self.stiffness).max())
+
+    @cached_property
     def temperature_limit(self) -> Array:
         """Temperatures [deg C] at which servos shut themselves down."""
         return self._array("temperature_limit")

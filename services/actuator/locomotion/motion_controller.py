@@ -44,7 +44,7 @@ class MotionController:
 
     def restart(self, feet: Array, T_odom_body: Array, ground: Array) -> None:
         """Restart the walk, with feet (6, 3) [m] {body} that stand at heights (6,) [m] {odom}."""
-        self.executor = StepExecutor(self._settings, feet, T_odom_body, ground)
+        self.executor = StepExecutor(self._settings, feet, T_odom_body, ground, self._profile.servos.inertia_s)
         self._recovery = LegRecovery()
 
     def take_over(self, slowly: bool) -> None:

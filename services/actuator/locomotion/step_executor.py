@@ -38,6 +38,7 @@ _FEEL_FROM_S = 0.03  # [s] before lift-off from which the other legs must prove 
 _RETURN_S = 1.4  # [s] duration of a step that returns the feet to their last footholds
 _RETURN_CLEARANCE_M = 0.03  # [m] minimum clearance of that step
 _SET_DOWN_S = 0.33  # [s] in which feet in the air reach the ground once the robot has to stop
+_SOFTLY = 12.5  # time constants of the servos' inertia that this takes at least: else heavy rotors lift the body at touchdown
 _BRAKE_S = 0.2  # [s] minimum braking time of the body, if its step lasts that long
 _MAX_SPEEDUP = 1.75  # largest speed-up of a step that sets its feet down; at a factor of two, joints arrive late
 _RETURN_CONTACT_M = 0.015  # [m] below this height a returning foot may meet ground; higher, the reversal looks like touchdown
@@ -56,7 +57,9 @@ class Targets:
 class StepExecutor:
     """Converts step plans to foot targets; holds all state of the walk."""
 
-    def __init__(self, settings: Settings, feet: Array, T_odom_body: Array, ground: Array | None = None):
+    def __init__(
+        self, settings: Settings, feet: Array, T_odom_body: Array, ground: Array | None = None, inertia_s: float = 0.0
+    ):
         """Begin at rest.
 
         Args:
@@ -64,12 +67,15 @@ class StepExecutor:
             feet: (6, 3) [m] {body} commanded feet, all standing.
             T_odom_body: (4, 4) body pose.
             ground: (6,) [m] {odom} measured heights of the feet. Default: the commanded heights.
+            inertia_s: [s] time constant of the servos' inertia.
         """
         self.step = 0
         self.plan_ns = -1  # [ns] stamp of the plan in execution, or of the last one
         self.phase = 1.0
         self.trouble = ""  # problem of the last step; empty when it went as planned
         self._settings = settings
+        self._softly_s = _SOFTLY * inertia_s
+        self._set_down_s = max(_SET_DOWN_S, self._softly_s)
         self._body = BodyTrajectory(T_odom_body)
         self._posture = PostureControl(settings.posture)
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
@@ -282,7 +288,9 @@ class StepExecutor:
             self._running, self.phase = None, 1.0
             return
         since, left = running.elapsed_s - running.unload_s, running.plan.duration - running.elapsed_s
-        on_s, back_s = min(left, max(_SET_DOWN_S, left / _MAX_SPEEDUP)), min(since, _SET_DOWN_S) + running.load_s
+        max_speedup = _MAX_SPEEDUP * _SET_DOWN_S / self._set_down_s
+        on_s = min(left, max(self._set_down_s, left / max_speedup))
+        back_s = min(max(since, self._softly_s), self._set_down_s) + running.load_s
         if back is None or on_s <= back_s:
             self._come_to_rest(running, max(running.speedup, left / on_s), reaches)
             return
