@@ -1,34 +1,63 @@
-"""The faults that a robot can have, and what it can notice of them."""
+"""The faults that a robot can have, and the limits that its servos let it keep."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf
 
-from benchmarks.faults.cases import Case, OnBus
+from benchmarks.faults.cases import Away, Case, Limits, OnBus
+from sextant.services.actuator.locomotion.step_executor import set_down_s
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK
+from sextant.shared.servo.servo_model import ServoError
+
+_SLOWER_S = 0.4  # [s] by which a robot notices later that a servo with commands is silent: it is read within that time
+_START_S = 0.8  # [s] by which the actuator starts later with such servos: each value is read by a command of its own
 
 
 def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
     """Return those of the cases that a robot can have, with the limits that it can keep.
 
-    Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. Wrong
-    answers of their board may mean that all pulses are lost; then the robot stands until the operator has laid it down.
+    - Goals are at most as fast as its servos, which have 354 deg/s in the table; goals of servos with commands are sent
+      in every second cycle, so that two cycles' change is seen in one.
+    - Servos with heavy rotors set their feet down more slowly.
+    - Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. Wrong
+      answers of their board may mean that all pulses are lost; then the robot stands until the operator has laid it down.
+    - Servos with commands report no errors: a shutdown has no effect on them.
     """
-    if profile.servo.pulses is None:
-        return list(cases)
-    return [_with_hobby_servos(case) for case in cases if all(fault in WITHOUT_FEEDBACK for fault in _on_bus(case))]
+    model, pulses = profile.servo_model, profile.servo.pulses
+    found = []
+    for case in cases:
+        on_bus = [(deed.fault.target, deed.fault.kind) for deed in case.deeds if isinstance(deed, OnBus)]
+        if pulses and not all(fault in WITHOUT_FEEDBACK for fault in on_bus):
+            continue
+        if model.errors is ServoError.NONE and ("servo", "overload") in on_bus:
+            continue
+        limits = _of_servos(case.limits, profile)
+        if model.commands:
+            starts = any(isinstance(deed, Away) and deed.service == "actuator" and deed.kill for deed in case.deeds)
+            limits = _with_commands(limits, on_bus, starts)
+        if pulses:
+            limits = _with_hobby_servos(limits, on_bus)
+        found.append(replace(case, limits=limits))
+    return found
 
 
-def _on_bus(case: Case) -> list[tuple[str, str]]:
-    return [(deed.fault.target, deed.fault.kind) for deed in case.deeds if isinstance(deed, OnBus)]
+def _of_servos(limits: Limits, profile: RobotProfile) -> Limits:
+    slower = set_down_s(profile.servos.inertia_s) / set_down_s(0.0)
+    fastest = math.ceil(math.degrees(profile.servos.no_load_speed.max())) if limits.goal_dps < inf else inf
+    return replace(limits, rest_s=limits.rest_s * slower, goal_dps=fastest)
 
 
-def _with_hobby_servos(case: Case) -> Case:
-    limits, faults = case.limits, _on_bus(case)
-    if any(target == "servo" for target, _ in faults):
-        limits = replace(limits, decided_s=inf, named="", again_s=inf, unnamed_margin_m=-inf)
-    elif faults and limits.named:
-        misleading = any(kind in ("stuck", "garbage") for _, kind in faults)
-        limits = replace(limits, named=f"{limits.named}|board", again_s=inf if misleading else limits.again_s)
-    return replace(case, limits=limits)
+def _with_commands(limits: Limits, on_bus: Sequence[tuple[str, str]], starts: bool) -> Limits:
+    later_s = _START_S if starts else _SLOWER_S if any(target == "servo" for target, _ in on_bus) else 0.0
+    return replace(limits, decided_s=limits.decided_s + later_s, goal_dps=2.0 * limits.goal_dps)
+
+
+def _with_hobby_servos(limits: Limits, on_bus: Sequence[tuple[str, str]]) -> Limits:
+    if any(target == "servo" for target, _ in on_bus):
+        return replace(limits, decided_s=inf, named="", again_s=inf, unnamed_margin_m=-inf)
+    if not on_bus or not limits.named:
+        return limits
+    misleading = any(kind in ("stuck", "garbage") for _, kind in on_bus)
+    return replace(limits, named=f"{limits.named}|board", again_s=inf if misleading else limits.again_s)

@@ -191,7 +191,8 @@ def _stops(words: tuple[Word, ...]) -> int:
 def off_time(line: Timeline) -> tuple[float, int]:
     """Return the time [s] until torque off at all servos, and the goals sent before.
 
-    It counts from the order, or from when bus and actuator were available again, if later. Unreachable servos do not count.
+    It counts from the order, or from when bus and actuator were available again, if later. Unreachable servos do not count,
+    nor do the goals of the cycle in which the order arrives.
     """
     if not np.isfinite(line.ordered_s):
         return nan, 0
@@ -201,7 +202,8 @@ def off_time(line: Timeline) -> tuple[float, int]:
     sent = next((s.t_s for s in offs if not s.heard and s.t_s >= begin), inf)
     first = min(heard, sent) if np.isfinite(heard) else sent
     away = line.returned_s > line.ordered_s
-    before = [goals for goals in line.goals if begin < goals.t_s < first] if away else []
+    since = max(begin, line.ordered_s + _CYCLE_S)
+    before = [goals for goals in line.goals if since < goals.t_s < first] if away else []
     return float(max(heard - begin, 0.0)), len(before)
 
 

@@ -365,6 +365,7 @@ class Actuator:
         returned, motion = was_away and not self._bus_was_away, self._motion
         if elapsed > GAP_S and self._guard.mode is not Mode.OFF:
             self._joints.mark_stale()
+            self._bus_was_away = True  # servos that are all read at once may have caught up by the next cycle
         elif returned and not motion.is_holding and not motion.changes_posture:
             self._take_over(self._guard.mode is not Mode.OFF, self._joints.load)
 

@@ -103,7 +103,7 @@ class JointServos:
 
     @cached_property
     def inertia_s(self) -> float:
-        """Time constant [s] of a rotor's inertia against its servo's stiffness, of the slowest servo: turning, it overshoots."""
+        """Longest time constant [s] of rotor inertia and servo stiffness; a joint with a long one overshoots."""
         return float(np.sqrt(self.armature / self.stiffness).max())
 
     @cached_property

@@ -74,8 +74,7 @@ class StepExecutor:
         self.phase = 1.0
         self.trouble = ""  # problem of the last step; empty when it went as planned
         self._settings = settings
-        self._softly_s = _SOFTLY * inertia_s
-        self._set_down_s = max(_SET_DOWN_S, self._softly_s)
+        self._softly_s, self._set_down_s = _SOFTLY * inertia_s, set_down_s(inertia_s)
         self._body = BodyTrajectory(T_odom_body)
         self._posture = PostureControl(settings.posture)
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
@@ -505,6 +504,11 @@ class StepExecutor:
         else:
             self._begin(self._renumbered(self._return_plan))
             self.trouble += "; the step is reversed"
+
+
+def set_down_s(inertia_s: float) -> float:
+    """Return the time [s] in which feet in the air reach the ground, with the time constant [s] of the servos' inertia."""
+    return max(_SET_DOWN_S, _SOFTLY * inertia_s)
 
 
 def _changes_swing(plan: StepPlan, running: StepPlan) -> bool:

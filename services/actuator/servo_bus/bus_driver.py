@@ -500,6 +500,8 @@ class ServoBus:
             return None
         found = self._believed(index, stamp_ns, answer, now_ns)
         if found is not None:
+            if self.missed[index] > _MAX_UNANSWERED:  # the bus may be back: other silent servos have their turn, too
+                self._skips = [0] * len(self)
             self.missed[index], self._backoff[index] = 0, 1
             self._read_ns[index] = stamp_ns
         return found

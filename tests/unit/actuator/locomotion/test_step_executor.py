@@ -125,6 +125,24 @@ def test_set_down_stands_on_known_footholds_within_500_ms(at: float, duration: f
     assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.4
 
 
+@pytest.mark.parametrize("at", [0.15, 0.3, 0.45, 0.6, 0.75])
+def test_feet_with_heavy_rotors_are_set_down_more_slowly(at: float) -> None:
+    descents = []
+    for inertia_s in (0.0, 0.04):
+        walker = StepExecutor(SETTINGS, REST.copy(), START, inertia_s=inertia_s)
+        walker.accept(plan_to(1, body_at(0.04), duration=1.0))
+        cycle(walker)
+        while walker.phase < at:
+            cycle(walker)
+        walker.set_down(reaches)
+        heights = []
+        while not walker.resting:
+            heights.append(cycle(walker).feet[TRIPOD, 2])
+        descents.append(-np.diff(heights, axis=0).min())
+    assert descents[1] <= descents[0]
+    assert descents[1] / DT < 0.30
+
+
 @given(st.floats(0.1, 0.9), st.sampled_from([0.6, 0.8, 1.1]))
 @settings(max_examples=25)
 def test_body_stops_before_feet_are_set_down(at: float, duration: float) -> None:

@@ -121,6 +121,20 @@ def test_silent_servo_shows_while_landing_legs_take_the_time_of_the_bus() -> Non
         assert cycles <= 30
 
 
+def test_all_servos_are_read_soon_after_a_silence_of_the_bus() -> None:
+    legs, goals = _Legs(), [_CENTRE] * 18
+    legs.bus.set_torque(True)
+    legs.now_ns = legs.port.now_ns() + 20_000_000
+    heard, legs.emulator.receive = legs.emulator.receive, lambda data, now_ns: []  # type: ignore[method-assign, assignment]
+    for _ in range(100):
+        assert not legs.cycle(goals)
+    legs.emulator.receive = heard  # type: ignore[method-assign]
+    back: set[int] = set()
+    for _ in range(25):
+        back |= {one.index for one in legs.cycle(goals)}
+    assert back == set(range(18))
+
+
 def test_dead_servo_does_not_take_the_turns_of_the_others() -> None:
     legs, unread = _Legs(), np.zeros(18, dtype=int)
     legs.bus.set_torque(True)

@@ -2,16 +2,43 @@
 
 from math import inf
 
-from benchmarks.faults.cases import BY_NAME, CASES
+import pytest
+
+from benchmarks.faults.batch import inject
+from benchmarks.faults.cases import BY_NAME, CASES, Limits
 from benchmarks.faults.robot_cases import of_robot
+from benchmarks.faults.table import row
 from sextant.shared.robot.profiles import load_profile
 
 HOBBY = load_profile("printed_ds3218")
 
 
-def test_servos_that_report_have_all_faults_and_limits() -> None:
-    for name in ("phantomx_mk2", "printed_sts3215", "jethexa_hx35h"):
-        assert of_robot(CASES, load_profile(name)) == list(CASES)
+def limits(robot: str, name: str) -> Limits:
+    (case,) = of_robot([BY_NAME[name]], load_profile(robot))
+    return case.limits
+
+
+def test_the_table_is_that_of_the_default_robot() -> None:
+    assert of_robot(CASES, load_profile("phantomx_mk2")) == list(CASES)
+
+
+def test_goals_are_at_most_as_fast_as_the_servos() -> None:
+    assert limits("printed_sts3215", "fuzzed-plans").goal_dps == 270.0
+    assert limits("jethexa_hx35h", "fuzzed-plans").goal_dps == 668.0  # in two cycles
+    assert limits("printed_sts3215", "planner-killed").goal_dps == inf
+
+
+def test_heavy_rotors_are_set_down_more_slowly() -> None:
+    light, heavy = (limits(robot, "planner-killed").rest_s for robot in ("lotriet_rx64", "printed_sts3215"))
+    assert light == 0.7
+    assert heavy == pytest.approx(0.7 * 0.496 / 0.33, rel=0.01)
+
+
+def test_servos_with_commands_are_noticed_later_and_report_no_shutdown() -> None:
+    assert limits("jethexa_hx35h", "servo-silent").decided_s == pytest.approx(0.65)
+    assert limits("jethexa_hx35h", "bus-silent").decided_s == 0.25
+    assert limits("jethexa_hx35h", "actuator-killed").decided_s == pytest.approx(2.3)
+    assert not of_robot([BY_NAME["overload"], BY_NAME["off-overload"]], load_profile("jethexa_hx35h"))
 
 
 def test_hobby_servos_have_no_fault_of_what_they_do_not_report() -> None:
@@ -21,14 +48,29 @@ def test_hobby_servos_have_no_fault_of_what_they_do_not_report() -> None:
 
 
 def test_fault_of_a_hobby_servo_is_not_noticed_but_must_cause_no_fall() -> None:
-    (case,) = of_robot([BY_NAME["servo-silent"]], HOBBY)
-    assert (case.limits.decided_s, case.limits.again_s, case.limits.named) == (inf, inf, "")
-    assert case.limits.torque_stays
+    found = limits("printed_ds3218", "servo-silent")
+    assert (found.decided_s, found.again_s, found.named) == (inf, inf, "")
+    assert found.torque_stays
 
 
 def test_faults_of_the_board_keep_their_limits() -> None:
-    gone, stuck = of_robot([BY_NAME["bus-gone"], BY_NAME["bus-stuck"]], HOBBY)
-    assert (gone.limits.decided_s, gone.limits.again_s) == (0.25, 3.0)
-    assert (stuck.limits.decided_s, stuck.limits.again_s) == (0.25, inf)  # it may look like the restart of the board
-    assert "board" in gone.limits.named
-    assert of_robot([BY_NAME["planner-killed"]], HOBBY) == [BY_NAME["planner-killed"]]
+    gone, stuck = limits("printed_ds3218", "bus-gone"), limits("printed_ds3218", "bus-stuck")
+    assert (gone.decided_s, gone.again_s) == (0.25, 3.0)
+    assert (stuck.decided_s, stuck.again_s) == (0.25, inf)  # it may look like the restart of the board
+    assert "board" in gone.named
+    assert "board" not in limits("printed_ds3218", "planner-killed").named
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "robot", "number"),
+    [
+        ("actuator-stopped", "printed_sts3215", 0),  # all servos are read at once: hanging feet are lowered gently
+        ("planner-killed", "printed_sts3215", 2),  # heavy rotors
+        ("bus-garbage", "jethexa_hx35h", 4),  # the first answer after a silence gives the other servos a turn
+        ("bus-stuck", "printed_ds3218", 0),
+    ],
+)
+def test_robot_keeps_the_limits_of_a_fault(name: str, robot: str, number: int) -> None:
+    (case,) = of_robot([BY_NAME[name]], load_profile(robot))
+    assert row(case, [one.outcome for one in inject(name, (number,), robot)]).missed == ()
