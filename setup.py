@@ -13,6 +13,9 @@ from pathlib import Path
 from setuptools import setup
 from setuptools.command.build_py import build_py
 
+# Folders of packages, and of `math`.
+PLACES = "import sysconfig as s; print(s.get_path('purelib'), s.get_config_var('DESTSHARED'), sep='\\n')"
+
 
 class CompiledBuild(build_py):
     """Compiles in the folder that becomes the wheel."""
@@ -22,14 +25,13 @@ class CompiledBuild(build_py):
         super().run()
         python = os.environ.get("SEXTANT_COMPILE")
         if python and not self.editable_mode:
-            find = "import sysconfig; print(sysconfig.get_path('purelib'))"
-            installed = subprocess.run([python, "-c", find], capture_output=True, text=True, check=True).stdout.strip()
+            found = subprocess.run([python, "-c", PLACES], capture_output=True, text=True, check=True).stdout.splitlines()
             with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
-                # Compiled code holds the names of its files and of NumPy's; these name none of the builder's own folders.
-                places = {Path(folder, "lib"): Path(self.build_lib).resolve(), Path(folder, "packages"): Path(installed)}
-                for link, place in places.items():
+                # Compiled code holds the names of its files, of NumPy and of `math`: none of the builder's own folders.
+                links = [Path(folder, name) for name in ("lib", "packages", "dynload")]
+                for link, place in zip(links, (str(Path(self.build_lib).resolve()), *found), strict=True):
                     link.symlink_to(place)
-                around = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, places)), "PYTHONDONTWRITEBYTECODE": "1"}
+                around = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, links)), "PYTHONDONTWRITEBYTECODE": "1"}
                 around.pop("NUMBA_CACHE_DIR", None)  # the code belongs next to its source
                 subprocess.run([python, "-m", "sextant.deploy.launch.warm_up"], cwd=folder, env=around, check=True)
 
