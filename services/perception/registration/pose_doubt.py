@@ -3,6 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.services.perception.registration.error_twist import error_twist
+from sextant.shared.geometry import inverse
+
 _SAME_AWAY = np.array([0.04, 0.04, 0.04, 0.05, 0.05, 0.05])  # [m] and [rad] within which two searches agree
 
 
@@ -22,7 +25,7 @@ class PoseDoubt:
     def reset(self) -> None:
         """Forget all frames and searches, because the map starts again."""
         self._doubtful = 0  # consecutive frames, including failed ones
-        self._away: NDArray[np.float64] | None = None  # (6,) twist to the pose that the last search found for a doubtful frame
+        self._correction: NDArray[np.float64] | None = None  # (4, 4) of expected poses, by the last search for a doubtful frame
         self._suspended = 0  # frames for which the doubt is suspended, because the ground changed and not the pose
 
     def is_suspended(self) -> bool:
@@ -37,11 +40,11 @@ class PoseDoubt:
     def update(self, doubted: bool) -> None:
         """Count a frame."""
         self._doubtful = self._doubtful + 1 if doubted else 0
-        self._away = self._away if doubted else None
+        self._correction = self._correction if doubted else None
 
     def clear(self) -> None:
         """End the doubt: a better pose was found, from which the next search starts."""
-        self._doubtful, self._away = 0, None
+        self._doubtful, self._correction = 0, None
 
     @property
     def lasts(self) -> bool:
@@ -53,7 +56,10 @@ class PoseDoubt:
         since = self._doubtful - self._before_search
         return since >= 0 and since % self._every == 0
 
-    def is_confirmed(self, away: NDArray[np.float64]) -> bool:
-        """Return whether two consecutive searches found the same twist (6,)."""
-        before, self._away = self._away, away
-        return before is not None and bool((np.abs(away - before) < _SAME_AWAY).all())
+    def is_confirmed(self, T_found: NDArray[np.float64], T_expected: NDArray[np.float64]) -> bool:
+        """Return whether two consecutive searches correct the expected poses (4, 4) equally.
+
+        The correction is in {world}, because there it stays the same while the robot walks.
+        """
+        before, self._correction = self._correction, T_found @ inverse(T_expected)
+        return before is not None and bool((np.abs(error_twist(T_found, before @ T_expected)) < _SAME_AWAY).all())

@@ -202,7 +202,7 @@ class Registration:
                     reason = f"{reason}; {better.reason}"
                 elif not better.is_elsewhere:
                     self._doubt.suspend()
-            elif self._acceptance.legless or self._doubt.is_confirmed(error_twist(better.T, T_expected)):
+            elif self._acceptance.legless or self._doubt.is_confirmed(better.T, T_expected):
                 self._doubt.clear()
                 return _Checked(better, "", doubted=False)
             elif reason:  # a passing person is gone at the next search
