@@ -9,7 +9,7 @@ from benchmarks.faults.cases import Away, Case, Limits, OnBus
 from sextant.services.actuator.locomotion.step_executor import set_down_s
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK
-from sextant.shared.servo.servo_model import ServoError
+from sextant.shared.servo.servo_model import Recovery, ServoError
 
 _SLOWER_S = 0.4  # [s] by which a robot notices later that a servo with commands is silent: it is read within that time
 _START_S = 0.8  # [s] by which the actuator starts later with such servos: each value is read by a command of its own
@@ -24,6 +24,7 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
     - Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. Wrong
       answers of their board may mean that all pulses are lost; then the robot stands until the operator has laid it down.
     - Servos with commands report no errors: a shutdown has no effect on them.
+    - A servo that must reboot after a shutdown has torque again only by an operator's orders.
     """
     model, pulses = profile.servo_model, profile.servo.pulses
     found = []
@@ -37,6 +38,8 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
         if model.commands:
             starts = any(isinstance(deed, Away) and deed.service == "actuator" and deed.kill for deed in case.deeds)
             limits = _with_commands(limits, on_bus, starts)
+        if model.recovery is Recovery.REBOOT and ("servo", "overload") in on_bus:
+            limits = replace(limits, again_s=inf)
         if pulses:
             limits = _with_hobby_servos(limits, on_bus)
         found.append(replace(case, limits=limits))

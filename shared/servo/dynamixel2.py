@@ -8,7 +8,7 @@ A status packet has the instruction 55, and its first parameter is the error.
 Sources: ROBOTIS e-manual, Protocol 2.0 (https://emanual.robotis.com/docs/en/dxl/protocol2/) and CRC Calculation.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 
 from sextant.shared.servo.servo_model import Kind, Packet, Request, ServoError
@@ -27,6 +27,7 @@ _STUFFED = HEADER[:3]
 _STUFFING = b"\xfd"
 HEAD = 7  # [bytes] of header, id and length
 _CRC = 2  # [bytes]
+_COMBINED_HEAD = HEAD + 1  # [bytes] of a combined status before its first part
 ROW_OVERHEAD = 4  # bytes of a servo's part of a combined status besides its data: error, id, CRC
 
 
@@ -281,6 +282,22 @@ def combined_status(rows: Iterable[tuple[int, int, bytes]]) -> bytes:
         packet += part
         packet += crc16(packet).to_bytes(_CRC, "little")
     return packet
+
+
+def with_part(packet: bytes, count: int, index: int, of_size: Callable[[int], bytes]) -> bytes:
+    """Return the response to a fast read in which one of `count` parts is replaced by other bytes, its CRC included.
+
+    The CRCs behind it cover the bytes that those servos have then received.
+    """
+    size = (len(packet) - _COMBINED_HEAD) // count
+    spoilt = bytearray(packet)
+    for k in range(index, count):
+        begin, end = _COMBINED_HEAD + k * size, _COMBINED_HEAD + (k + 1) * size
+        if k == index:
+            spoilt[begin:end] = of_size(size)
+        else:
+            spoilt[end - _CRC : end] = crc16(bytes(spoilt[: end - _CRC])).to_bytes(_CRC, "little")
+    return bytes(spoilt)
 
 
 def combined_length(sizes: Sequence[int]) -> int:

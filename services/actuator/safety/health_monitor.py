@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.robot.servo import WARM_K
-from sextant.shared.servo.servo_model import ServoError, error_words
+from sextant.shared.servo.servo_model import Recovery, ServoError, error_words
 
 SILENT = 4  # consecutive unanswered requests from which a servo counts as silent
 _QUIET_S = 0.1  # [s] without any reading from which the bus, not one servo, is silent
@@ -89,6 +89,7 @@ class Health:
         self._temperature: Array = self._limit - WARM_K
         self._effort: Array = np.zeros(18)  # mean square share of the stall torque
         self._late = 0  # consecutive late cycles
+        self._reboots = [model.recovery is Recovery.REBOOT for model in profile.servos.models]
         self._shutdowns = [_Shutdown() for _ in range(18)]
         self._shut_down = False  # whether a shutdown of any servo has begun and has not ended
 
@@ -205,6 +206,9 @@ class Health:
                 continue
             if not torque:
                 shutdown.since = None  # evaluated again once torque is ordered on
+                continue
+            if self._reboots[index]:  # this ends the shutdown, and only an operator's order does it
+                broken = broken or f"{name} has shut down because of overload; order `ready` to reboot it"
                 continue
             shutdown.since = now if shutdown.since is None else shutdown.since
             # Time at the end of the rest: the decision about a shutdown stays the same while it lasts.

@@ -273,7 +273,8 @@ class ServoBusEmulator(AnswersOnly):
             said = missing[: len(said)]
         self._answered_ns = max(time_ns, self._answered_ns) + self._timing.wire_ns(len(said))
         self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
-        return [Reply(self._answered_ns + self._timing.usb_transaction_ns, said, self._protocol.BROADCAST_ID)]
+        due_ns, servo_ids = self._answered_ns + self._timing.usb_transaction_ns, tuple(servo_id for servo_id, *_ in parts)
+        return [Reply(due_ns, said, self._protocol.BROADCAST_ID, servo_ids)]
 
     def _knows_fast_read(self, row: int) -> bool:
         """Return whether the firmware of a servo has the fast sync read."""

@@ -13,7 +13,7 @@ from random import Random
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, EmulatedBus, Reply
 from sextant.services.simulator.servo_bus.servo_banks import AnyBank
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
-from sextant.shared.servo import pwm
+from sextant.shared.servo import dynamixel2, pwm
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK, BusFault
 from sextant.shared.servo.servo_model import BusProtocol, ServoError, ServoModel
 from sextant.shared.wire.messages import FaultTarget
@@ -336,10 +336,12 @@ def _garble(running: _Running, reply: Reply, t_ns: int, protocol: BusProtocol) -
     The fault is one of responses, a servo or the bus. Echoes pass unchanged.
     """
     fault = running.fault
-    if reply.servo_id < 0 or fault.servo not in (-1, reply.servo_id):
+    if reply.servo_id < 0 or fault.servo not in (-1, reply.servo_id, *reply.parts):
         yield reply
         return
     match running.cell:
+        case "servo", "garbage" if reply.parts:
+            yield reply._replace(data=_with_garbage(running, reply))
         case _, "slow" if fault.target != "packets" or running.strikes():
             yield reply._replace(due_ns=reply.due_ns + round(fault.delay_ms * _MS))
         case "packets", "silent" if running.strikes():
@@ -363,6 +365,12 @@ def _garble(running: _Running, reply: Reply, t_ns: int, protocol: BusProtocol) -
             yield reply._replace(data=before)
         case _:
             yield reply
+
+
+def _with_garbage(running: _Running, reply: Reply) -> bytes:
+    """Return a combined response in which the part of one servo is garbage."""
+    count, index = len(reply.parts), reply.parts.index(running.fault.servo)
+    return dynamixel2.with_part(reply.data, count, index, running.rng.randbytes)
 
 
 def _misspoken(running: _Running, reply: Reply, protocol: BusProtocol) -> bytes:

@@ -14,6 +14,7 @@ class Reply(NamedTuple):
     due_ns: int  # [ns] time of arrival at the host
     data: bytes
     servo_id: int = -1  # servo that sent the response, -1 for an echo or noise
+    parts: tuple[int, ...] = ()  # servos that sent a combined response, in their order
 
 
 class AdapterPort(NamedTuple):

@@ -9,9 +9,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sextant.services.actuator.safety.health_monitor import SILENT, Health, Verdict, Vitals
-from sextant.shared.robot.profile import JOINTS, LEGS
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo.servo_model import ServoError
+from tests.support.families import robot_with
 
 PROFILE = load_profile("phantomx_mk2")
 PERIOD = 0.02
@@ -38,8 +39,8 @@ servos = st.integers(0, 17)
 class Patient:
     """Servos with prescribed vitals, cycle after cycle."""
 
-    def __init__(self) -> None:
-        self.health, self.now, self.verdict = Health(PROFILE, PERIOD), 100.0, Verdict()
+    def __init__(self, profile: RobotProfile = PROFILE) -> None:
+        self.health, self.now, self.verdict = Health(profile, PERIOD), 100.0, Verdict()
 
     def cycle(self, vitals: Vitals = WELL, torque: bool = True, dt: float = PERIOD) -> Verdict:
         self.now += dt
@@ -446,6 +447,16 @@ def test_silent_overloaded_servo_is_reset_only_after_it_responds(quiet: float) -
         assert not verdict.restore_torque
         assert not verdict.sit
     assert any(verdict.restore_torque == (7,) for verdict in patient.live(1.5, shut)), "it is reset once it answers again"
+
+
+def test_servo_that_must_reboot_waits_for_an_operators_order() -> None:
+    patient = Patient(robot_with("XL430-W250"))
+    verdicts = patient.live(20.0, one(5, errors=int(ServoError.OVERLOAD)))
+    assert {verdict.broken for verdict in verdicts} == {
+        f"{name(5)} has shut down because of overload; order `ready` to reboot it"
+    }
+    assert not any(verdict.sit or verdict.restore_torque for verdict in verdicts)
+    assert patient.cycle() == Verdict()
 
 
 def test_resets_of_permanently_shut_down_servo_expire_after_5_minutes() -> None:

@@ -225,6 +225,21 @@ def test_whole_parts_of_a_cut_combined_status_are_found(rows: list[tuple[int, in
     assert all(row.intact for row in dxl.split_status(found[0], sizes))
 
 
+@given(st.integers(1, 6), st.data())
+def test_spoilt_part_of_a_combined_status_leaves_the_others_whole(count: int, data: st.DataObject) -> None:
+    rows = [(k + 1, 0, bytes([k, 7, 9])) for k in range(count)]
+    index = data.draw(st.integers(0, count - 1))
+    noise = data.draw(st.binary(min_size=7, max_size=7))
+    raw = dxl.combined_status(rows)
+    spoilt = dxl.with_part(raw, count, index, lambda size: noise[:size])
+    assert len(spoilt) == len(raw)
+    (packet,) = (parser := PacketParser(dxl.combined_length([3] * count), keep_broken=True)).feed(spoilt) + parser.flush()
+    found = {one.servo_id: bytes(one.parameters) for one in dxl.split_status(packet, [3] * count)}
+    by_chance = noise[5:] == dxl.crc16(spoilt[: 8 + 7 * index + 5]).to_bytes(2, "little")
+    assert {servo_id: row for servo_id, _, row in rows if servo_id != index + 1}.items() <= found.items() or by_chance
+    assert index + 1 not in found or by_chance
+
+
 def test_combined_status_without_a_part_is_not_kept() -> None:
     parser = PacketParser(keep_broken=True)
     parser.feed(dxl.combined_status(FAST_SYNC[0])[:8])
