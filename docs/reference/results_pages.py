@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any, Protocol
 
 from benchmarks.access import access, strangers
 from benchmarks.campaign import evidence, table
@@ -52,17 +53,46 @@ DOCS = Path(__file__).parents[1]
 _MARK = re.compile(r"(<!-- table: ([^\n]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 
 
+class _Bench(Protocol):
+    """A benchmark whose result is kept: reads it, and makes a table of it."""
+
+    def from_json(self, text: str, /) -> Any: ...
+
+    def in_words(self, found: Any, /) -> str: ...
+
+
+def _of(bench: _Bench) -> Callable[[str], str]:
+    return lambda text: bench.in_words(bench.from_json(text))
+
+
 def _faults(text: str) -> str:
     return fault_table.markdown(fault_table.from_json(text))
 
 
+_BENCHES: Mapping[str, _Bench] = {
+    "strangers.json": strangers,
+    "latency.json": latency,
+    "fleet.json": fleet,
+    "accuracy.json": accuracy,
+    "cycle.json": actuator_cycle,
+    "slow_core.json": slow_core,
+    "start.json": start,
+    "size.json": size,
+    "bus.json": servo_bus,
+    "checksums.json": checksums,
+    "servos.json": servo_packets,
+    "access.json": access,
+    "page.json": page,
+    "recording.json": recording,
+    "calibration.json": calibration,
+    "naming.json": naming,
+    "maps.json": map_building,
+}
 _TABLES: Mapping[str, Callable[[str], str]] = MappingProxyType(
     {
+        **{name: _of(bench) for name, bench in _BENCHES.items()},
         "cuts.json": lambda text: link.cuts_in_words(link.cuts_from_json(text)),
         "link_walks.json": lambda text: link.walks_in_words(link.walks_from_json(text)),
-        "strangers.json": lambda text: strangers.in_words(strangers.from_json(text)),
-        "latency.json": lambda text: latency.in_words(latency.from_json(text)),
-        "fleet.json": lambda text: fleet.in_words(fleet.from_json(text)),
         "fuzz.json": lambda text: fuzz_table.markdown(fuzz_table.from_json(text)),
         "faults.json": _faults,
         "faults_camera.json": _faults,
@@ -72,20 +102,6 @@ _TABLES: Mapping[str, Callable[[str], str]] = MappingProxyType(
         "stages.json": lambda text: map_stages.in_words(timing.from_json(text, map_stages.Measured)),
         "passage.json": lambda text: passage.in_words(timing.from_json(text, passage.Measured)),
         "plans.json": lambda text: timing.in_words(timing.from_json(text, timing.Measured), step_plans.HEADINGS),
-        "accuracy.json": lambda text: accuracy.in_words(accuracy.from_json(text)),
-        "cycle.json": lambda text: actuator_cycle.in_words(actuator_cycle.from_json(text)),
-        "slow_core.json": lambda text: slow_core.in_words(slow_core.from_json(text)),
-        "start.json": lambda text: start.in_words(start.from_json(text)),
-        "size.json": lambda text: size.in_words(size.from_json(text)),
-        "bus.json": lambda text: servo_bus.in_words(servo_bus.from_json(text)),
-        "checksums.json": lambda text: checksums.in_words(checksums.from_json(text)),
-        "servos.json": lambda text: servo_packets.in_words(servo_packets.from_json(text)),
-        "access.json": lambda text: access.in_words(access.from_json(text)),
-        "page.json": lambda text: page.in_words(page.from_json(text)),
-        "recording.json": lambda text: recording.in_words(recording.from_json(text)),
-        "calibration.json": lambda text: calibration.in_words(calibration.from_json(text)),
-        "naming.json": lambda text: naming.in_words(naming.from_json(text)),
-        "maps.json": lambda text: map_building.in_words(map_building.from_json(text)),
         "table_6_1.json": lambda _: table_text.markdown(planner_table.content(*planner_table.read(DOCS / "table_6_1.json"))),
         "evidence.json": lambda _: table.page(load(), evidence.read()),
     }
