@@ -7,6 +7,7 @@ from math import inf
 
 from benchmarks.faults.cases import Away, Case, Limits, OnBus
 from sextant.services.actuator.locomotion.step_executor import set_down_s
+from sextant.services.simulator.servo_bus.motors import motor_and_supply, powered_by
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK
 from sextant.shared.servo.servo_model import Recovery, ServoError
@@ -23,14 +24,18 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
     - Servos with heavy rotors set their feet down more slowly.
     - Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. Wrong
       answers of their board may mean that all pulses are lost; then the robot stands until the operator has laid it down.
+    - A constant supply, as of the RX-64 robot, does not run empty.
     - Servos with commands report no errors: a shutdown has no effect on them.
     - A servo that must reboot after a shutdown has torque again only by an operator's orders.
     """
     model, pulses = profile.servo_model, profile.servo.pulses
+    supply = powered_by(motor_and_supply(profile.servo)[1], profile.battery)
     found = []
     for case in cases:
         on_bus = [(deed.fault.target, deed.fault.kind) for deed in case.deeds if isinstance(deed, OnBus)]
         if pulses and not all(fault in WITHOUT_FEEDBACK for fault in on_bus):
+            continue
+        if ("supply", "drain") in on_bus and supply.full_voltage == supply.empty_voltage:
             continue
         if model.errors is ServoError.NONE and ("servo", "overload") in on_bus:
             continue

@@ -28,6 +28,10 @@ def test_goals_are_at_most_as_fast_as_the_servos() -> None:
     assert limits("printed_sts3215", "planner-killed").goal_dps == inf
 
 
+def test_constant_supply_does_not_run_empty() -> None:
+    assert not of_robot([BY_NAME["drain"], BY_NAME["off-drain"]], load_profile("lotriet_rx64"))
+
+
 def test_heavy_rotors_are_set_down_more_slowly() -> None:
     light, heavy = (limits(robot, "planner-killed").rest_s for robot in ("lotriet_rx64", "printed_sts3215"))
     assert light == 0.7
