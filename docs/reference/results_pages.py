@@ -5,7 +5,8 @@ A mark is a comment with the files and the kind of table; the table replaces all
     <!-- table: campaign.jsonl --of walks -->
     <!-- end of table -->
 
-Kinds are those of `sextant trials table --of`; `--rows` keeps only the rows of the table. Other data have one table each.
+Kinds are those of `sextant trials table --of`; `--rows` keeps only the rows of the table. Other data have one table each, and
+several files with the faults of a robot have one row each.
 """
 
 import re
@@ -17,6 +18,7 @@ from typing import Any, Protocol
 from benchmarks.access import access, strangers
 from benchmarks.campaign import evidence, table
 from benchmarks.campaign.part import load
+from benchmarks.faults import overview
 from benchmarks.faults import table as fault_table
 from benchmarks.fuzz import table as fuzz_table
 from benchmarks.page import page
@@ -50,6 +52,7 @@ from sextant.evaluation.trials import baselines_table, passage_table, results_st
 from sextant.evaluation.trials.campaign_table import markdown, of_runs
 
 DOCS = Path(__file__).parents[1]
+_FAULTS = "faults_"  # and the name of a robot: the file of its faults
 _MARK = re.compile(r"(<!-- table: ([^\n]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 
 
@@ -131,6 +134,9 @@ def _table(words: list[str]) -> str:
     missing = [name for name in files if not (DOCS / name).is_file()]
     if missing or not files:
         raise ValueError(f"a file in docs/ expected in a mark of a table, found {missing[0] if missing else 'none'}")
+    if len(files) > 1 and all(name.startswith(_FAULTS) for name in files):
+        robots = {name.removeprefix(_FAULTS).removesuffix(".json"): DOCS / name for name in files}
+        return overview.markdown({robot: fault_table.from_json(path.read_text("utf-8")) for robot, path in robots.items()})
     if files[0] in _TABLES:
         text = (DOCS / files[0]).read_text(encoding="utf-8")
         return _made(files[0], _TABLES[files[0]](text).strip(), kept.origin(text))
