@@ -12,8 +12,8 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK
 from sextant.shared.servo.servo_model import Recovery, ServoError
 
-_SLOWER_S = 0.4  # [s] by which a robot notices later that a servo with commands is silent: it is read within that time
-_START_S = 0.8  # [s] by which the actuator starts later with such servos: each value is read by a command of its own
+_SLOWER_S = 0.4  # [s] that a robot may take longer to notice a silent servo with commands: each is read within that time
+_START_S = 0.8  # [s] that the actuator may take longer to start with such servos, which need a command for each value
 
 
 def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:

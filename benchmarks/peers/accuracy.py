@@ -3,7 +3,6 @@
 Messages pass through the codec. Results are compared with the ground truth.
 """
 
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -13,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers import foothold_model
+from benchmarks.peers import foothold_model, kept
 from benchmarks.peers.full_frame import FullFrames
 from benchmarks.peers.scenes import MAPPED, REGISTERED, Scene
 from benchmarks.peers.synthetic_trajectory import CarriedCamera, Errors, Ride, ride
@@ -26,7 +25,6 @@ from sextant.services.mapper.service import Mapper
 from sextant.services.perception.config import Settings as PerceptionSettings
 from sextant.services.perception.service import Perception
 from sextant.services.simulator.sensors.renderer import Renderer
-from sextant.shared.files import config
 from sextant.shared.geometry import apply
 from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.process_priority import keep_memory
@@ -319,22 +317,11 @@ def _line(row: Row, columns: Mapping[str, tuple[str, float, int]], registered: b
     return f"| {' | '.join(cells)} |"
 
 
-@dataclass(frozen=True, slots=True)
-class _Kept:
-    """Content of a file of `to_json`."""
-
-    rows: tuple[Row, ...]
-
-
 def to_json(rows: Sequence[Row]) -> str:
     """Return the tables as JSON; lengths in metres."""
-    return json.dumps(config.as_table(rows), indent=1) + "\n"
+    return kept.rows_to_json(rows)
 
 
 def from_json(text: str) -> list[Row]:
-    """Return the rows of `to_json`.
-
-    Raises:
-        ConfigError: It is another table.
-    """
-    return list(config.build({"rows": json.loads(text)}, _Kept, "accuracy.json").rows)
+    """Read rows written by `to_json`."""
+    return kept.rows_from_json(text, Row)

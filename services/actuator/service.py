@@ -106,7 +106,7 @@ class Actuator:
         self._motion = MotionController(profile, settings, self._joints.goals)
         self._report = StateReport(profile.foot.radius, self._has_touch)
         self._follow_rate()
-        self._bus_was_away = False  # whether the servo states were unknown in the last cycle
+        self._was_away = False  # whether the servo states were unknown in the last cycle
         self._take_over(torque, self._joints.read_loads())
         if self._motion.executor.gentle:
             self._guard.reason = "torque was on at the start; lowering the feet that are in the air"
@@ -361,11 +361,11 @@ class Actuator:
 
     def _check_gaps(self, elapsed: float) -> None:
         """Restart gently after an interruption of the bus or of this process."""
-        was_away, self._bus_was_away = self._bus_was_away, self._joints.all_behind
-        returned, motion = was_away and not self._bus_was_away, self._motion
+        was_away, self._was_away = self._was_away, self._joints.all_behind
+        returned, motion = was_away and not self._was_away, self._motion
         if elapsed > GAP_S and self._guard.mode is not Mode.OFF:
             self._joints.mark_stale()
-            self._bus_was_away = True  # servos that are all read at once may have caught up by the next cycle
+            self._was_away = True  # servos that are all read at once may have caught up by the next cycle
         elif returned and not motion.is_holding and not motion.changes_posture:
             self._take_over(self._guard.mode is not Mode.OFF, self._joints.load)
 

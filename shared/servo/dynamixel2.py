@@ -284,17 +284,18 @@ def combined_status(rows: Iterable[tuple[int, int, bytes]]) -> bytes:
     return packet
 
 
-def with_part(packet: bytes, count: int, index: int, of_size: Callable[[int], bytes]) -> bytes:
-    """Return the response to a fast read in which one of `count` parts is replaced by other bytes, its CRC included.
+def with_part(packet: bytes, count: int, index: int, make: Callable[[int], bytes]) -> bytes:
+    """Return the response to a fast read in which one of `count` equal parts is replaced by other bytes.
 
-    The CRCs behind it cover the bytes that those servos have then received.
+    `make` returns as many bytes as the part has, CRC included. The CRCs behind it cover the bytes that those servos have then
+    received.
     """
     size = (len(packet) - _COMBINED_HEAD) // count
     spoilt = bytearray(packet)
     for k in range(index, count):
         begin, end = _COMBINED_HEAD + k * size, _COMBINED_HEAD + (k + 1) * size
         if k == index:
-            spoilt[begin:end] = of_size(size)
+            spoilt[begin:end] = make(size)
         else:
             spoilt[end - _CRC : end] = crc16(bytes(spoilt[: end - _CRC])).to_bytes(_CRC, "little")
     return bytes(spoilt)

@@ -196,6 +196,12 @@ def test_torque_off_time_counts_from_actuator_return() -> None:
     assert off_time(ordered(heard, sent, returned_s=BEGIN_S)) == (pytest.approx(1.75), 0)
 
 
+def test_goals_of_the_cycle_in_which_torque_off_is_ordered_do_not_count() -> None:
+    sent, heard, back = torque(0.33, on=False, heard=False), torque(0.33, on=False), BEGIN_S + 0.305
+    for at, count in ((0.302, 0), (0.31, 0), (0.319, 0), (0.325, 1)):  # [s]; torque off was ordered at 0.3
+        assert off_time(ordered(sent, heard, returned_s=back, goals=(goal(at),)))[1] == count
+
+
 def test_torque_enabled_at_end_is_reported() -> None:
     said = word(0.35, Mode.OFF)
     assert not score(ordered(torque(0.34, on=False), end_s=BEGIN_S), OFF, PROFILE).on_again
