@@ -24,6 +24,7 @@ class CameraWalk(FaultWalk):
     """A walk in lockstep over a course; its copies have the fault."""
 
     phases_s = _PHASES_S
+    listens_to = (*FaultWalk.listens_to, topics.PLANNER_STATUS, topics.BODY_POSE)
 
     def __init__(self, case: Case, seed: int, robot: str = SCENARIO.robot):
         """Assemble the walk; see `FaultWalk`."""
