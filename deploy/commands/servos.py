@@ -366,22 +366,17 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int, bus: str | None) ->
     import numpy as np
 
     try:
-        from sextant.services.simulator.servo_bus import pulse_bench
-        from sextant.services.simulator.servo_bus.bench_emulator import HELP, BenchEmulator
-        from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
+        from sextant.services.simulator.servo_bus.bench_emulator import make_bench
         from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     except ImportError as error:
         raise InputError(f"{error}; emulated servos need it: pip install -e '.[simulator]'") from None
     profile = _profile(robot)
-    bench: PulseBench | BenchEmulator
-    if profile.servo.pulses is not None:
-        bench, commands = PulseBench(profile), pulse_bench.HELP
-    else:
-        names = [one.name for one in profile.servos.buses]
-        if (bus or "") not in names:
-            raise InputError(f"--bus: one of {', '.join(names)} expected, found {bus or 'none'}" if profile.buses else _ONE_BUS)
-        rng = np.random.default_rng(seed)
-        bench, commands = BenchEmulator(profile, rng, fresh=fresh, bus=names.index(bus or "")), HELP
+    names = [one.name for one in profile.servos.buses]
+    if (bus or "") not in names:
+        raise InputError(f"--bus: one of {', '.join(names)} expected, found {bus or 'none'}" if profile.buses else _ONE_BUS)
+    if fresh and profile.servo.pulses is not None:
+        raise InputError("--fresh: hobby servos have no ids and no settings; emulate them without it")
+    bench = make_bench(profile, np.random.default_rng(seed), fresh=fresh, bus=names.index(bus or ""))
     try:
         server = TcpBusServer(bench, port=listen, rejects_others=True)
     except OSError as error:
@@ -390,7 +385,7 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int, bus: str | None) ->
         of_robot = "" if robot == "phantomx_mk2" else f" --robot {robot}"
         command = f"sextant servos {'set-id' if fresh else 'scan'} --port {f'{bus}=' if bus else ''}{server.url}{of_robot}"
         say(f"servos on {server.url}; in another terminal: {command}")
-        say(f"{bench.execute('list')}; type {commands}")
+        say(f"{bench.execute('list')}; type {bench.commands}")
         for line in sys.stdin:
             if line.strip() in ("quit", "q"):
                 return SUCCESS

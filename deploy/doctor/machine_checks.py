@@ -154,7 +154,7 @@ def cycle(
 ) -> Check:
     """Check that this machine keeps the control period at its current load.
 
-    The actuator runs on an emulated servo bus.
+    The actuator runs on the emulated servos of the robot.
     """
     from sextant.shared.runtime.process_priority import go_first
     from sextant.shared.runtime.service import Every
@@ -176,12 +176,12 @@ def cycle(
         with ThreadPoolExecutor(1) as apart:  # a separate thread, because priority is set per thread
             refused, every, work = apart.submit(beat).result()
     except ImportError as error:
-        return Check(name, Level.WARN, f"not timed: {error}", "for the emulated servo bus: pip install -e '.[simulator]'")
+        return Check(name, Level.WARN, f"not timed: {error}", "for emulated servos: pip install -e '.[simulator]'")
     except (ValueError, OSError) as error:
         return Check(name, Level.WARN, f"not timed: {error}", "correct the profile, or give another with --robot")
     p50, p99 = round(0.50 * (_CYCLES - 1)), round(0.99 * (_CYCLES - 1))
     missed = sum(ms > _MISSED_MS for ms in every)
-    words = f"takes {work[p50]:.1f} (p99 {work[p99]:.1f}) of {1e3 / _CYCLE_HZ:g} ms, including an emulated servo bus; period "
+    words = f"takes {work[p50]:.1f} (p99 {work[p99]:.1f}) of {1e3 / _CYCLE_HZ:g} ms, including emulated servos; period "
     words += f"{every[p50]:.1f} ms (p50), {every[p99]:.1f} (p99), {every[-1]:.1f} (max)"
     words += f"; {missed} of {_CYCLES} periods above {_MISSED_MS:g}" + (", without real-time priority" if refused else "")
     if every[p99] <= _MISSED_MS:

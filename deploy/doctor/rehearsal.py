@@ -97,14 +97,14 @@ def loads(durations: Mapping[str, list[float]], simulated_s: float) -> list[Stag
 
 @contextmanager
 def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
-    """Yield the cycle of a real actuator on the emulated servo bus, or buses, of a robot.
+    """Yield the cycle of a real actuator on the emulated servo buses, or the emulated pulse board, of a robot.
 
     The robot is on a stand, and is ordered to stand up.
     """
     from sextant.services.actuator.config import Settings
     from sextant.services.actuator.service import Actuator
     from sextant.services.actuator.servo_bus.servo_interface import port_openers
-    from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
+    from sextant.services.simulator.servo_bus.bench_emulator import make_bench
     from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.runtime.clock import now_ns
@@ -116,7 +116,7 @@ def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
     with ExitStack() as stack:
         ports = []
         for k, bus in enumerate(profile.servos.buses):
-            server = stack.enter_context(TcpBusServer(BenchEmulator(profile, np.random.default_rng(0), bus=k)))
+            server = stack.enter_context(TcpBusServer(make_bench(profile, np.random.default_rng(0), bus=k)))
             ports.append(f"{bus.name}={server.url}" if bus.name else server.url)
         settings = Settings(port=", ".join(ports))
         actuator = stack.enter_context(Actuator(profile, settings, port_openers(profile, settings), now_ns))

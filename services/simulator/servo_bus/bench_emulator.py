@@ -15,6 +15,7 @@ import numpy as np
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.motors import Supply
+from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
 from sextant.services.simulator.servo_bus.servo_bank import ServoVariation
 from sextant.services.simulator.servo_bus.servo_banks import make_robot_servos
 from sextant.shared.geometry import Array
@@ -26,11 +27,12 @@ _MAX_BEND_DEG = 150.0  # [deg] maximum angle of a bent joint, the measuring rang
 _STEP_NS = 4_000_000  # [ns] time step of the joints
 _MAX_CATCH_UP_NS = 2_000_000_000  # [ns] maximum time to simulate after a pause, in which all joints come to rest
 _MAX_RATE_ERROR = 0.03  # [1] relative difference of two baud rates up to which bytes are received correctly
-HELP = "plug [N], unplug [ID], bend LEG COXA FEMUR TIBIA (degrees), list, quit"
 
 
 class BenchEmulator(ServoBusEmulator):
     """Bus with all servos of a robot, of which any number is plugged in."""
+
+    commands = "plug [N], unplug [ID], bend LEG COXA FEMUR TIBIA (degrees), list, quit"  # that `execute` accepts
 
     def __init__(
         self,
@@ -136,7 +138,7 @@ class BenchEmulator(ServoBusEmulator):
             self.bend(LEGS.index(bend[1]), np.radians(pose))
             return f"the {bend[1]} leg is bent to {', '.join(bend[2].split())} deg ({', '.join(JOINTS)})"
         elif words != ["list"]:
-            raise ValueError(f"one of {HELP} expected, found {line.strip()!r}")
+            raise ValueError(f"one of {self.commands} expected, found {line.strip()!r}")
         ids = sorted(self._value(row, self._registers.id) for row in self._plugged)
         plugged = f"{len(ids)} {'servo is' if len(ids) == 1 else 'servos are'} plugged in"
         return f"{plugged}: {', '.join(map(str, ids)) or 'none'}; {len(self.unplugged)} not"
@@ -158,3 +160,12 @@ class BenchEmulator(ServoBusEmulator):
             self._torque = np.clip(spring_torque, -command.torque_limit, command.torque_limit)
             self._qd = self._torque / self._damping
             self._q = self._q + self._qd * (_STEP_NS * 1e-9)
+
+
+def make_bench(
+    profile: RobotProfile, rng: np.random.Generator, *, fresh: bool = False, bus: int = 0
+) -> BenchEmulator | PulseBench:
+    """Return the workbench of a robot: its servo bus, or the board of its hobby servos, which have no settings."""
+    if profile.servo.pulses is not None:
+        return PulseBench(profile)
+    return BenchEmulator(profile, rng, fresh=fresh, bus=bus)

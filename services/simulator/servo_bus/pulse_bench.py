@@ -7,11 +7,11 @@ from sextant.services.simulator.servo_bus.pulse_board import make_board
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.robot.profile import RobotProfile
 
-HELP = "list, quit"
-
 
 class PulseBench(AnswersOnly):
     """Board at a port, whose channels have no pulses at first."""
+
+    commands = "list, quit"  # that `execute` accepts
 
     def __init__(self, profile: RobotProfile) -> None:
         """Connect the servos of a robot; raises ValueError if they are not hobby servos."""
@@ -33,7 +33,7 @@ class PulseBench(AnswersOnly):
     def execute(self, line: str) -> str:
         """Execute a command that the operator typed, and return the state as text; raises ValueError for an unknown one."""
         if line.split() != ["list"]:
-            raise ValueError(f"one of {HELP} expected, found {line.strip()!r}")
+            raise ValueError(f"one of {self.commands} expected, found {line.strip()!r}")
         table = self._servos.table
         torque = self._servos.column(table.torque_enable).tolist()
         with_pulses = [joint for joint, on in zip(self._profile.servo_names.values(), torque, strict=True) if on]

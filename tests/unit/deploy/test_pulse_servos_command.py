@@ -73,6 +73,11 @@ def test_only_listed_commands_of_the_bench_are_taken(bench: PulseBench) -> None:
         PulseBench(load_profile("phantomx_mk2"))
 
 
+def test_emulate_makes_no_hobby_servos_without_ids(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["servos", "emulate", "--fresh", *ROBOT]) == 2
+    assert "--fresh: hobby servos have no ids" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", ["centre", "find"])
 def test_one_channel_is_sent_to_its_middle_and_has_no_pulses_afterwards(
     url: str, bench: PulseBench, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -72,7 +72,7 @@ def test_regular_cycle_passes(priority_error: str) -> None:
     assert (check.level, check.advice) == (Level.OK, "")
     without = ", without real-time priority" if priority_error else ""
     assert check.found == (
-        "takes 9.0 (p99 9.0) of 20 ms, including an emulated servo bus; period 20.0 ms (p50), 20.0 (p99), 20.0 (max); "
+        "takes 9.0 (p99 9.0) of 20 ms, including emulated servos; period 20.0 ms (p50), 20.0 (p99), 20.0 (max); "
         f"0 of 100 periods above 25{without}"
     )
 
