@@ -96,7 +96,7 @@ def out_of_reach(port: str) -> Check | None:
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that all of the robot's servos respond, and their state."""
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, open_port
-    from sextant.services.actuator.servo_bus.bus_scan import problems
+    from sextant.services.actuator.servo_bus.bus_scan import ECHO, problems
 
     if profile.servo.pulses is not None:
         yield from board(port, profile)
@@ -113,8 +113,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
         yield Check(name, Level.FAIL, str(error), "check the plug and the cable")
         return
     if echo:
-        advice = "--set actuator.echo=true, and --echo for `sextant servos`"
-        yield Check(name, Level.WARN, "the adapter returns every sent byte", advice)
+        yield Check(name, Level.WARN, *ECHO)
     if not seen:
         advice = (
             "check the servos' power and the cable at the adapter; "
@@ -157,7 +156,7 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
 
     The port is closed at the end.
     """
-    from sextant.services.actuator.servo_bus.bus_scan import BusResponse, call
+    from sextant.services.actuator.servo_bus.bus_scan import ECHO, call
     from sextant.services.actuator.servo_bus.command_bus import bus_of
 
     names = profile.servo_names
@@ -172,10 +171,8 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
     )
     bus = connect(reply_timeout_ns=_PATIENCE_NS)
     try:
-        seen = call(bus, names)
-        if not any(one.response is BusResponse.ECHO for one in seen.values()):
-            return seen, False
-        return call(connect(echo=True, reply_timeout_ns=_PATIENCE_NS), names), True
+        echo = bus.echo_problem() is ECHO
+        return call(connect(echo=True, reply_timeout_ns=_PATIENCE_NS) if echo else bus, names), echo
     finally:
         bus.close()
 

@@ -16,10 +16,12 @@ PHANTOMX = load_profile("phantomx_mk2")
 class Desk:
     """A workbench, and ports to it that share one virtual time."""
 
-    def __init__(self, profile: RobotProfile = PHANTOMX, *, fresh: bool = False, seed: int = 1, rate: int | None = -1) -> None:
+    def __init__(
+        self, profile: RobotProfile = PHANTOMX, *, fresh: bool = False, seed: int = 1, rate: int | None = -1, echo: bool = False
+    ) -> None:
         self.profile = profile
         rate = profile.servo_model.bus_rate if rate == -1 else rate
-        self.bench = BenchEmulator(profile, np.random.default_rng(seed), fresh=fresh, rate=rate)
+        self.bench = BenchEmulator(profile, np.random.default_rng(seed), fresh=fresh, rate=rate, echo=echo)
         self.tables = self.bench._servos.tables
         self.rates: list[int] = []  # rates at which a port was opened
         self.port = MemoryPort(self.bench, lambda: 0)
@@ -38,10 +40,10 @@ class Desk:
             self.bench.set_baud_rate(rate)
         return self.port
 
-    def bus(self) -> ServoBus:
+    def bus(self, *, echo: bool = False) -> ServoBus:
         names = self.profile.servo_names
         model = self.profile.servo_model
-        return bus_of(model)(self.open(), list(names), self.clock, model=model, names=names)
+        return bus_of(model)(self.open(), list(names), self.clock, model=model, names=names, echo=echo)
 
     def settle(self) -> None:
         """Wait until written data has arrived and the joints are at rest."""

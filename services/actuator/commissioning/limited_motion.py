@@ -38,6 +38,9 @@ def ready(bus: AnyBus, profile: RobotProfile, operator: Operator) -> bool:
 
     Report problems to the operator.
     """
+    if echo := bus.echo_problem():
+        operator.say(": ".join(echo))
+        return False
     seen = call(bus, profile.servo_names)
     wrong = problems(profile.servo_names, seen)
     low = profile.battery.warn_voltage

@@ -30,10 +30,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import ServoModel
 
 _LEAVE = "q"
-_NO_ANSWER_ADVICE = (
-    "check their power and the cable at the adapter, or try with --echo, or without; a bridge does not pass scans on, see "
-    "docs/bridge.md"
-)
+_NO_ANSWER_ADVICE = "check their power and the cable at the adapter; a bridge does not pass scans on, see docs/bridge.md"
 _UNLESS_MEANT = f"if this is not intended, {SET_ID} and type its leg and joint to restore safe values"
 
 
@@ -237,6 +234,9 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
     continue later: servos with their ids are found, and so are those that were interrupted during setup. The joint with the
     factory id, if there is one, comes last, because new servos have that id too.
     """
+    if echo := line.at(line.rates[0]).echo_problem():
+        operator.say(": ".join(echo))
+        return False
     done: set[int] = set()  # in this session, plugged in or not
     found = _completed(line, _likely(line, profile), profile, operator)
     while True:

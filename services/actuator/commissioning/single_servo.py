@@ -4,7 +4,7 @@ No other servo on the bus gets torque, loses torque or moves.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from typing import NamedTuple
 
@@ -55,6 +55,10 @@ def identify(opener: Opener, servo_id: int, model: ServoModel | None = None) -> 
         BusDisconnectedError: The port cannot be opened.
     """
     families = {one.protocol.answer_start: one for one in reversed(MODELS)}.values() if model is None else (model,)
+    first = next(iter(families))
+    with closing(opener.open(first.bus_rate, first)) as bus:
+        if echo := bus.echo_problem():
+            raise NotReadyError(": ".join(echo))
     for family in families:
         if servo_id > family.protocol.MAX_ID:
             continue

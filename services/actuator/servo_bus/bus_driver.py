@@ -135,7 +135,7 @@ class ServoBus:
         of_servos = [self.model_of(i) for i in servo_ids]
         self._unit = [one.units for one in of_servos]  # of each servo
         self._rows = tuple(range(n)) if rows is None else tuple(rows)
-        self._protocol, self._table = model.protocol, model.table
+        self._protocol, self._table, self._echo = model.protocol, model.table, echo
         self._line = SerialLine(port, clock, model, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
         self._loss = LossRate(_LOSS_WINDOW_NS)
@@ -256,6 +256,14 @@ class ServoBus:
         """Return the first bytes within a second without a request; servos send none."""
         return self._line.unrequested_bytes()
 
+    def echo_problem(self) -> Problem | None:
+        """Return the problem of an adapter that returns what is sent although none is set, or the reverse; else None."""
+        id_register = self._table.id  # one byte: in no protocol is its answer as long as the request, with the same bytes
+        found = self._line.echoes(self._protocol.read(self.servo_ids[0], id_register.address, id_register.size))
+        if found == self._echo:
+            return None
+        return bus_scan.ECHO if found else bus_scan.NO_ECHO
+
     def open_session(self) -> None:
         """Do nothing: the bus has no microcontroller that needs a session."""
 
@@ -269,11 +277,14 @@ class ServoBus:
             BusDisconnectedError: The port is gone.
         """
         seen = bus_scan.call(self, self.names)
+        is_clean = not self._line.lost and not self._line.dropped
+        if not (is_clean and len(seen) == len(self)) and (echo := self.echo_problem()):
+            raise BusSetupError(": ".join(echo))
         for i, mute in [(i, found) for i, found in seen.items() if found.response is BusResponse.MUTE]:
             seen[i] = bus_scan.wake(self, i) or mute
         if not seen:
             raise BusSetupError(
-                f"none of the {len(self)} servos answers; check their power, the adapter, its echo setting and the baud rate, "
+                f"none of the {len(self)} servos answers; check their power, the adapter and the baud rate, "
                 f"then try `sextant servos scan`"
             )
         wrong = bus_scan.problems(self.names, seen)

@@ -102,7 +102,6 @@ class BusResponse(StrEnum):
     DOUBLED = "gives several or garbled answers: two servos have this id, or a cable is bad"
     MUTE = "answers pings, but no reads"
     FADING = "answers only sometimes: a cable is loose, or this computer is too busy"
-    ECHO = "returns the request itself: the adapter echoes; turn the echo setting on"
 
 
 _LOCKED = "its EEPROM may be locked until its power is cycled"
@@ -112,8 +111,15 @@ _REMEDIES = {
     BusResponse.DOUBLED: f"unplug one of the two, and give the other another id: {SET_ID}",
     BusResponse.FADING: "check its plugs, and end other programs",
     BusResponse.MUTE: f"its status return level is 0: {SET_ID}",
-    BusResponse.ECHO: "use --echo with this command, and --set actuator.echo=true for the actuator",
 }
+ECHO = Problem(
+    "the adapter returns every byte that is sent",
+    "turn the echo setting on: --echo for `sextant servos`, and --set actuator.echo=true for the actuator",
+)
+NO_ECHO = Problem(
+    "the adapter does not return what is sent",
+    "turn the echo setting off, which is --echo or actuator.echo; if this adapter echoes, check its power",
+)
 WARM = 10.0  # [deg C] below its limit from which a servo is too warm to start
 
 
@@ -189,8 +195,6 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
     table = expected.table
     register = table.model_number
     model = retry(lambda: bus.read(servo_id, register))
-    if model == int.from_bytes((register.address, register.size), "little"):  # the request, read as its own answer
-        return ServoScan(servo_id, BusResponse.ECHO, expected)
     if crowd or error is None:
         refuse_another_device(bus)
         return ServoScan(servo_id, BusResponse.DOUBLED, expected)

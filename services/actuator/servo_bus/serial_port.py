@@ -34,6 +34,7 @@ _WRITE_TIMEOUT_S = 0.5  # [s] without progress of a write after which the port i
 _SETTLES_NS = 100_000_000  # [ns] after which a lost answer cannot arrive any more: six USB transactions at the slowest
 _UNASKED_NS = 1_100_000_000  # [ns] of silence of another device: many send once a second
 _UNASKED_BYTES, _UNASKED_READS = 64, 2000  # limits of bytes and reads from it
+_ECHO_ATTEMPTS = 2  # to find an echo: noise may break one
 _READ_ALL_BYTES = 4096  # [bytes] to read at once: more than can arrive within a timeout
 _SIMULATOR_S = 1.0  # [s] of real time after which the simulator does not answer any more
 _UNDERWAY_NS = 2_000_000  # [ns] of a USB transaction and the return delays, after which all answers have arrived
@@ -360,6 +361,25 @@ class SerialLine:
         self._stale = True
         packets += parser.flush()
         return packets, parser.dropped.total() > 0
+
+    def echoes(self, request: bytes) -> bool:
+        """Return whether the port returns a request, of which no answer is a copy. It listens for the reply timeout.
+
+        Raises:
+            BusDisconnectedError: The port is gone.
+        """
+        heard = b""
+        for _ in range(_ECHO_ATTEMPTS):
+            self.send(request)
+            try:
+                heard += self._port.read(_READ_ALL_BYTES)
+            except LOST as error:
+                raise gone(error) from error
+            self._unheard.clear()
+            self._stale = True
+            if request in heard:
+                return True
+        return False
 
     def unrequested_bytes(self) -> bytes:
         """Return the first bytes within a second without a request; servos send none.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, Polling, ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import PingResponses
+from sextant.services.actuator.servo_bus.bus_scan import PingResponses, Problem
 from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
 from sextant.services.actuator.servo_bus.servo_reading import ServoReading
 from sextant.shared.robot.joint_servos import BusRows
@@ -123,6 +123,13 @@ class SeveralBuses:
     def ping_responses(self, servo_id: int) -> PingResponses:
         """Return all responses to one ping within the timeout."""
         return self._bus_of[servo_id].ping_responses(servo_id)
+
+    def echo_problem(self) -> Problem | None:
+        """Return the problem of the first adapter whose echo is not as set, with its bus, or None."""
+        for name, _, bus in self._parts:
+            if found := bus.echo_problem():
+                return found._replace(words=f"bus {name}: {found.words}")
+        return None
 
     def unrequested_bytes(self) -> bytes:
         """Return the first bytes within a second without a request, of each bus."""

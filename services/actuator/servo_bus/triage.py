@@ -44,7 +44,7 @@ def _apart(rates: Iterable[int]) -> tuple[int, ...]:
 
 
 def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequence[int]) -> Problem | None:
-    """Return why no servo of the robot answers, or None if something does at these ids.
+    """Return why no servo of the robot can be used, or None if something answers at these ids.
 
     Args:
         opener: Opens the port.
@@ -55,6 +55,9 @@ def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequen
     Raises:
         NotAServoBusError: Another device sends on the port.
     """
+    with closing(opener.open(rates[0], model)) as bus:
+        if echo := bus.echo_problem():
+            return echo
     asked = tuple(dict.fromkeys((FACTORY_ID, *ids)))
     for rate in rates:
         with closing(opener.open(rate, model)) as bus:
@@ -100,6 +103,6 @@ def _silence(opener: Opener, model: ServoModel, rates: Sequence[int]) -> Problem
     more = "; --all-rates asks at all rates of these servos" if opener.has_rates and set(all_rates(model)) - set(rates) else ""
     return Problem(
         f"no servo answers on {opener.name} as {model.name}{at}, nor another servo in {' or '.join(names)}{adapter}",
-        f"check the power of the servos and the cable at the adapter, or try with --echo, or without{more}; "
+        f"check the power of the servos and the cable at the adapter{more}; "
         "a bridge does not pass scans on, see docs/bridge.md",
     )

@@ -21,6 +21,7 @@ from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.servo_bus import bus_driver
+from sextant.services.actuator.servo_bus.bus_scan import ECHO
 from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, Port, open_port
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
@@ -28,10 +29,12 @@ from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import LEGS
+from sextant.shared.robot.profile_text import write_new_profile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.ports import free_port
+from tests.support.families import FAMILIES, robot_with
 
 PROFILE = load_profile("phantomx_mk2")
 
@@ -165,6 +168,22 @@ def test_no_answering_servos_is_reported_once(bench: BenchEmulator, url: str, ca
     assert told[0] == "each of 18 servos does not answer, or refuses the order"
     assert "--bridge" in told[1]
     assert told[2] == "0 of 18 servos confirm torque off"
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_scan_names_an_echo_and_works_with_its_option(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile, path = robot_with(name), tmp_path / "robot.toml"
+    write_new_profile(path, profile)
+    url = Line(BenchEmulator(profile, np.random.default_rng(1), echo=True), monkeypatch).URL
+    words = ["servos", "scan", "--robot", str(path), "--port", url, "--ids", "1:19"]
+    assert cli.main(words) == 1
+    assert capsys.readouterr().out.splitlines() == [ECHO.words, f"  -> {ECHO.advice}"]
+    assert cli.main([*words, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == {"servos": [], "problems": [ECHO._asdict()]}
+    assert cli.main([*words, "--echo"]) == 0
+    assert f"all 18 servos of {profile.name} are in order" in capsys.readouterr().out
 
 
 def test_calibration_is_written_to_profile_or_out_file(

@@ -20,6 +20,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.servo_model import ServoError
 from sextant.shared.wire.ports import free_port
+from tests.support.families import FAMILIES, robot_with
 
 PROFILE = load_profile("phantomx_mk2")
 TODAY = date(2026, 7, 30)
@@ -91,10 +92,12 @@ def test_no_answering_servos_is_reported_once(bench: BenchEmulator) -> None:
     assert "servo voltage" not in checks
 
 
-def test_echoing_adapter_warns_and_servos_are_still_checked() -> None:
-    with TcpBusServer(BenchEmulator(PROFILE, np.random.default_rng(1), echo=True)) as server:
-        first, second, *_ = servo_checks.examine(server.url, "phantomx_mk2")
-    assert (first.level, first.found) == (Level.WARN, "the adapter returns every sent byte")
+@pytest.mark.parametrize("name", FAMILIES)
+def test_echoing_adapter_warns_and_servos_are_still_checked(name: str) -> None:
+    profile = robot_with(name)
+    with TcpBusServer(BenchEmulator(profile, np.random.default_rng(1), echo=True)) as server:
+        first, second, *_ = servo_checks.servos(server.url, profile)
+    assert (first.level, first.found) == (Level.WARN, "the adapter returns every byte that is sent")
     assert "--set actuator.echo=true" in first.advice
     assert second.found == "all 18 servos answer"
 
