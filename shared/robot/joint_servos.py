@@ -151,11 +151,22 @@ def given_twice(groups: tuple[object, ...], key: str) -> Iterator[config.Misfit]
 
 
 def unlike(servo: Servo, groups: tuple[ServoGroup, ...]) -> Iterator[config.Misfit]:
-    """Yield groups whose servos cannot be together with others."""
-    for place, one in (("servo", servo), *((f"servo_groups[{k}]", group) for k, group in enumerate(groups))):
-        model = _model_of(one)
-        if groups and model is not None and (model.feedback is not Feedback.ALL or model.commands is not None):
-            yield config.Misfit(f"{place}.model", "servos with registers, which can be mixed,", model.name)
+    """Yield groups whose servos do not measure the same as the others: forces on feet are estimated in one way for all legs."""
+    first = _model_of(servo)
+    for k, group in enumerate(groups):
+        model = _model_of(group)
+        if first is None or model is None:
+            continue
+        if Feedback.POSITION not in first.feedback & model.feedback:
+            expected = "one model for all joints, as for all robots with hobby servos,"
+            yield config.Misfit(f"servo_groups[{k}].model", expected, f"{model.name} besides {first.name}")
+        elif model.feedback != first.feedback:
+            expected = f"a servo that measures the same as {first.name}, which {_measures(first)},"
+            yield config.Misfit(f"servo_groups[{k}].model", expected, f"{model.name}, which {_measures(model)}")
+
+
+def _measures(model: ServoModel) -> str:
+    return "measures its load" if Feedback.LOAD in model.feedback else "measures no load"
 
 
 def _missing(buses: tuple[BusJoints, ...]) -> str:
@@ -175,8 +186,10 @@ def wrong_buses(servo: Servo, groups: tuple[ServoGroup, ...], buses: tuple[BusJo
         if name := _missing(buses):
             yield config.Misfit("buses", "each joint on one bus", f"none for the {name}")
     models = models_of(servo, groups)
-    if buses and any(model is not None and model.feedback is not Feedback.ALL for model in models):
-        yield config.Misfit("buses", "servos with registers on several buses", "others; they have one port")
+    if any(model is not None and Feedback.POSITION not in model.feedback for model in models):
+        if buses:
+            yield config.Misfit("buses", "bus servos on several buses", "hobby servos, whose board has one port")
+        return
     rows = [(f"buses[{k}]", _all_selected(getattr(bus, "joints", ()))) for k, bus in enumerate(buses)]
     for place, on_bus in rows or [("servo_groups", tuple(range(_N)))]:
         known = {model.name: model for index in on_bus if (model := models[index]) is not None}

@@ -21,6 +21,8 @@ from sextant.shared.servo.servo_model import ServoModel
 
 FAMILIES = ("AX-12A", "MX-28", "XL-320", "XL430-W250", "XM430-W350", "STS3215", "LX-16A")  # one of each control table, at least
 
+LEFT_AND_RIGHT = (BusJoints(name="left", joints=("left",)), BusJoints(name="right", joints=("right",)))
+
 
 def robot_with(model_name: str) -> RobotProfile:
     """Return the printed robot with servos of another model, by its data sheet."""
@@ -58,8 +60,12 @@ def two_bus_robot() -> RobotProfile:
     right = robot_with("STS3215").servo
     tibias = replace(base.servo_groups[1], joints=("left front tibia", "left middle tibia", "left rear tibia"))
     sts = ServoGroup(joints=("right",), **{one.name: getattr(right, one.name) for one in fields(Servo)})
-    buses = (BusJoints(name="left", joints=("left",)), BusJoints(name="right", joints=("right",)))
-    return replace(base, name="two_buses", servo_groups=(tibias, sts), buses=buses)
+    return replace(base, name="two_buses", servo_groups=(tibias, sts), buses=LEFT_AND_RIGHT)
+
+
+def command_robot(*, buses: tuple[BusJoints, ...] = LEFT_AND_RIGHT) -> RobotProfile:
+    """Return a robot with LX-16A servos, and HX-35H servos in its femurs, on two buses."""
+    return replace(mixed_robot("LX-16A", "HX-35H", "LX-16A"), name="commands", buses=buses)
 
 
 class Bench:

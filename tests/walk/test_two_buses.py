@@ -1,15 +1,17 @@
-"""A robot with two buses and three servo models walks, and stops when one bus is pulled out."""
+"""Robots with two buses and several servo models walk, and stop when one bus is pulled out."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profile_text import write_new_profile
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode
-from tests.support.families import two_bus_robot
+from tests.support.families import command_robot, two_bus_robot
 from tests.support.walks import course, walk
 
 COURSE = """
@@ -30,18 +32,23 @@ servo = {{servo}}
 """
 
 
-def test_robot_with_three_models_on_two_buses_walks_over_steps(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "profile",
+    [pytest.param(two_bus_robot(), id="registers"), pytest.param(command_robot(), id="commands", marks=pytest.mark.rare)],
+)
+def test_robot_with_several_models_on_two_buses_walks_over_steps(profile: RobotProfile, tmp_path: Path) -> None:
     path = tmp_path / "two_buses.toml"
-    write_new_profile(path, two_bus_robot())
+    write_new_profile(path, profile)
     found = walk(replace(load_scenario("steps"), robot=str(path)), 1000)
     assert found.report.success, found.report.reason
     assert found.report.falls == found.report.shutdowns == 0
 
 
-def test_robot_stops_when_one_of_its_buses_is_pulled_out_and_walks_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("profile", [two_bus_robot(), command_robot()], ids=["registers", "commands"])
+def test_robot_stops_when_one_of_its_buses_is_pulled_out_and_walks_on(profile: RobotProfile, tmp_path: Path) -> None:
     robot = tmp_path / "two_buses.toml"
-    write_new_profile(robot, two_bus_robot())
-    right = int(two_bus_robot().servo_ids[1, 0])
+    write_new_profile(robot, profile)
+    right = int(profile.servo_ids[1, 0])
     found = walk(course(tmp_path, COURSE.format(robot=robot) + PULLED.format(servo=right)), 1000)
     before, gone = found.states(AT_S - 1.0, AT_S)[-1], found.states(AT_S + 0.3, AT_S + FOR_S)
     assert before.mode is Mode.WALK

@@ -1,6 +1,7 @@
 """Femurs as they would follow their goals in the air, for servos that measure their position only."""
 
 import math
+from collections.abc import Sequence
 
 from sextant.shared.robot.servo import Servo
 
@@ -14,14 +15,14 @@ class FreeMotion:
     The state is that at which goals were last sent, because a servo that is read has followed them since.
     """
 
-    def __init__(self, servo: Servo, inertia: float) -> None:
+    def __init__(self, servos: Sequence[Servo], inertias: Sequence[float]) -> None:
         """Begin without a state.
 
         Args:
-            servo: The servos.
-            inertia: [kg m^2] of motor and leg about a femur axis.
+            servos: Those of the six femurs.
+            inertias: (6,) [kg m^2] of motor and leg about each femur axis.
         """
-        self._servo, self._inertia = servo, inertia
+        self._servos, self._inertias = tuple(servos), tuple(inertias)
         self._goals: list[float] = []  # [rad] that were last sent
         self._angles, self._speeds = [0.0] * 6, [0.0] * 6  # [rad] and [rad/s] when they were sent
         self._holding = [0.0] * 6  # [N m] femur torques that hold the links
@@ -52,13 +53,13 @@ class FreeMotion:
         angle, speed = self._angles[leg], self._speeds[leg]
         steps = max(math.ceil(seconds / _STEP_S), 1)
         for _ in range(steps):
-            speed += self._torque(leg, angle, speed) / self._inertia * seconds / steps
+            speed += self._torque(leg, angle, speed) / self._inertias[leg] * seconds / steps
             angle += speed * seconds / steps
         return angle, speed
 
     def _torque(self, leg: int, angle: float, speed: float) -> float:
         """Return the torque [N m] that accelerates a femur."""
-        servo = self._servo
+        servo = self._servos[leg]
         spring = min(max(servo.stiffness * (self._goals[leg] - angle), -servo.stall_torque), servo.stall_torque)
         friction = servo.friction * min(max(speed / _SLOW_RAD_S, -1.0), 1.0)
         return spring - servo.damping * speed - self._holding[leg] - friction

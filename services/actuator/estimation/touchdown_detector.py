@@ -78,7 +78,10 @@ class TouchdownDetector:
         self._inertia = _leg_inertias(profile)
         measures = Feedback.SPEED in profile.servo_model.feedback
         ratio = self._params.inertia_ratio
-        self._free = () if measures else tuple(FreeMotion(profile.servo, self._inertia[0] * k) for k in (1.0 / ratio, ratio))
+        inertias = ([inertia * k for inertia in self._inertia] for k in (1.0 / ratio, ratio))
+        self._free = () if measures else tuple(FreeMotion(self._servos, one) for one in inertias)
+        ticks = (servo.stiffness * servo.servo_model.units.tick_rad for servo in self._servos)  # [N m]
+        self._unfelt = [servo.friction + tick / 2 for servo, tick in zip(self._servos, ticks, strict=True)]  # [N m]
         self._mass_ratio = profile.body.total_mass / _REFERENCE_MASS_KG
         # All of them are lists, one number for each leg: readings come leg by leg.
         self._speed = [0.0] * 6  # [rad/s] of the femurs, by the newest readings
@@ -136,8 +139,7 @@ class TouchdownDetector:
         after_ns = min(max(femur.stamp_ns - femur.told_ns, 0), 2 * self.period_ns)
         angles = [free.at(leg, after_ns * 1e-9) for free in self._free]
         push = servo.stiffness * (femur.angle - min(max(femur.angle, min(angles)), max(angles)))
-        known = servo.friction + servo.stiffness * self._profile.servo_model.units.tick_rad / 2
-        return math.copysign(max(abs(push) - known, 0.0), push) / arm
+        return math.copysign(max(abs(push) - self._unfelt[leg], 0.0), push) / arm
 
     def _friction(self, leg: int) -> float:
         """Return the torque [N m] to allow for dry friction: beyond the friction itself, it hides only a share of a touch."""

@@ -9,7 +9,7 @@ every turn: voltage and temperature of one servo in turn are read in every fifth
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,11 +49,12 @@ class CommandBus(ServoBus):
         *,
         model: ServoModel,
         models: Mapping[int, ServoModel] | None = None,
+        rows: Sequence[int] | None = None,
         names: Mapping[int, str] | None = None,
         echo: bool = False,
         reply_timeout_ns: int = REPLY_TIMEOUT_NS,
         lock: bool = False,
-        stiffness: float | None = None,
+        stiffness: Sequence[float] | None = None,
     ) -> None:
         """Take over an open port, see `ServoBus`.
 
@@ -62,12 +63,13 @@ class CommandBus(ServoBus):
             servo_ids: Ids that the protocol allows, all different.
             clock: Monotonic time [ns].
             model: The type of the servos, which do not tell it.
-            models: Must be those of all servos, or nothing.
+            models: The types of servos by id, where they differ from `model`; they have the same commands.
+            rows: Indices of the servos in their readings, by default those in the list.
             names: Leg and joint of each id, for messages.
             echo: The adapter returns every byte sent.
             reply_timeout_ns: [ns] timeout of an answer.
             lock: Has no effect: the servos have no lock.
-            stiffness: [1/rad] share of the stall torque per position error, that of the model by default.
+            stiffness: (n,) [1/rad] share of the stall torque per position error, those of the models by default.
 
         Raises:
             ValueError: An id out of range or given twice, or a model with registers.
@@ -82,13 +84,15 @@ class CommandBus(ServoBus):
             clock,
             model=model,
             models=models,
+            rows=rows,
             names=names,
             echo=echo,
             reply_timeout_ns=reply_timeout_ns,
             lock=lock,
         )
         n = len(self.servo_ids)
-        self._readings = PositionReadings(n, self._units, model.gain_stiffness if stiffness is None else stiffness)
+        own = [self.model_of(i).gain_stiffness for i in self.servo_ids]
+        self._readings = PositionReadings(self._units, own if stiffness is None else stiffness)
         self._overdue_ns, self._most_late = _OVERDUE_NS, 1  # all of them would take the time of landing legs
         self._pulls = True  # whether torque may be on; without it no goals are sent, because they may turn it on
         self._goals = np.full(n, _UNKNOWN, dtype=np.int64)  # [ticks] wanted, and sent last
@@ -113,7 +117,7 @@ class CommandBus(ServoBus):
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
         """Return bytes of the table, by all commands that read some of them; those of the model without a request."""
-        table = bytearray(self.model.factory_table())
+        table = bytearray(self.model_of(servo_id).factory_table())
         for first, count in self._commands.inside(address, size):
             answer = self._ask(self._protocol.read(servo_id, first, count), servo_id, count)
             if answer is None:
@@ -247,7 +251,7 @@ class CommandBus(ServoBus):
             return []
         self._calls += 1
         if self._calls % _SLOW_EVERY == 0:
-            index = self._read_slowly(began + budget_ns)
+            index = yield from self._read_slowly(began + budget_ns)
             first = (index, *(i for i in first if i != index))  # its reading reports it
         return (yield from super().polling(max(began + budget_ns - self._clock(), 1), first))
 
@@ -269,6 +273,7 @@ class CommandBus(ServoBus):
         told_ns = int(self._sent_ns[index])
         found = self._readings.reading(index, self.servo_ids[index], told_ns, state, goal, new)
         self._angles[index] = found.position
+        found.index = self._rows[index]
         return found
 
     def _goal_angle(self, index: int, now_ns: int) -> float:
@@ -279,8 +284,8 @@ class CommandBus(ServoBus):
         since_ns = now_ns - int(self._sent_ns[index])
         return goal if not 0 <= since_ns < duration_ns else start + (goal - start) * since_ns / duration_ns
 
-    def _read_slowly(self, end_ns: int) -> int:
-        """Read the voltage or temperature of the next servo in turn, and return its index."""
+    def _read_slowly(self, end_ns: int) -> Generator[None, None, int]:
+        """Read the voltage or temperature of the next servo in turn, and return its index; see `ServoBus.polling`."""
         index, kind = divmod(self._slow, 2)
         self._slow = (self._slow + 1) % (2 * len(self))
         if self.missed[index]:  # it costs a timeout, and its position tells when it is back
@@ -296,7 +301,9 @@ class CommandBus(ServoBus):
             start = self._clock()
             if start > end_ns:
                 break
-            answer = self._line.exchange(request, servo_id, register.size, end_ns, start)
+            self._line.ask(request, start)
+            yield
+            answer = self._line.answer(servo_id, register.size, end_ns, start)
             self._loss.note(self._clock(), answer is None)
             if answer is None:
                 break

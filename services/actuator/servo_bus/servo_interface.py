@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -217,19 +218,24 @@ def of_bus(
     reply_timeout_ns: int = REPLY_TIMEOUT_NS,
 ) -> ServoBus:
     """Return the servos on one bus of a robot, on its open port."""
-    all_ids, servos = list(profile.servo_names), profile.servos
-    ids = [all_ids[row] for row in bus.rows]
-    return ServoBus(
+    all_ids, each = list(profile.servo_names), [profile.servos.each[row] for row in bus.rows]
+    ids, model = [all_ids[row] for row in bus.rows], each[0].servo_model
+    connected = (
+        ServoBus
+        if model.commands is None
+        else partial(CommandBus, stiffness=[servo.stiffness / servo.stall_torque for servo in each])
+    )
+    return connected(
         port,
         ids,
         clock,
-        model=servos.models[bus.rows[0]],
+        model=model,
         models=profile.servo_models,
         rows=bus.rows,
         names={i: profile.servo_names[i] for i in ids},
         echo=echo,
         reply_timeout_ns=reply_timeout_ns,
-        lock=all(servos.each[row].lock_eeprom for row in bus.rows),
+        lock=all(servo.lock_eeprom for servo in each),
     )
 
 
@@ -249,7 +255,4 @@ def on_port(profile: RobotProfile, settings: Settings, port: Port, clock: Callab
                 "connect these servos to an adapter, and turn the setting `bridge` off"
             )
         return Bridge(port, list(names), clock, model=model, names=names, lock=profile.servo.lock_eeprom)
-    if model.commands is not None:
-        stiffness = profile.servo.stiffness / profile.servo.stall_torque
-        return CommandBus(port, list(names), clock, model=model, names=names, echo=settings.echo, stiffness=stiffness)
     return of_bus(profile, profile.servos.buses[0], port, clock, echo=settings.echo)

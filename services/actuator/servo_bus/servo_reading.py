@@ -1,6 +1,7 @@
 """Readings of servos in physical units, and estimates of what a servo does not measure."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sextant.services.actuator.servo_bus.reading_validation import State
@@ -54,16 +55,15 @@ class PositionReadings:
     the position is therefore a tick of the load, and a servo that has no torque seems to have one.
     """
 
-    def __init__(self, n: int, units: Units, stiffness: float) -> None:
+    def __init__(self, units: Units, stiffness: Sequence[float]) -> None:
         """Begin without a reading.
 
         Args:
-            n: Number of servos.
             units: Units of their positions and voltages.
-            stiffness: [1/rad] share of the stall torque per position error.
+            stiffness: (n,) [1/rad] share of the stall torque per position error of each servo.
         """
-        self._units, self._stiffness = units, stiffness
-        self._before: list[tuple[int, float] | None] = [None] * n  # [ns] and [rad] of the last reading of each servo
+        self._units, self._stiffness = units, tuple(stiffness)
+        self._before: list[tuple[int, float] | None] = [None] * len(self._stiffness)  # [ns] and [rad] of each last reading
 
     def reading(
         self, index: int, servo_id: int, told_ns: int, state: State, goal: float, extra: Feedback = Feedback.NONE
@@ -83,7 +83,7 @@ class PositionReadings:
         self._before[index] = state.stamp_ns, position
         since_ns = _LONGEST_NS if before is None else state.stamp_ns - before[0]
         speed = 0.0 if before is None or not 0 < since_ns < _LONGEST_NS else (position - before[1]) / (since_ns * 1e-9)
-        load = 0.0 if math.isnan(goal) else spring_load(self._stiffness, goal - position)
+        load = 0.0 if math.isnan(goal) else spring_load(self._stiffness[index], goal - position)
         volts, degrees = state.voltage * units.volt, float(state.temperature)
         return ServoReading(
             index=index,

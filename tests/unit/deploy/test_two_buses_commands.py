@@ -19,18 +19,19 @@ from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, Po
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profile_text import write_new_profile
-from tests.support.families import two_bus_robot
+from tests.support.families import command_robot, two_bus_robot
 
-PROFILE = two_bus_robot()
+PROFILE, COMMANDS = two_bus_robot(), command_robot()
 PORTS = "left=socket://127.0.0.1:1, right=socket://127.0.0.1:2"
 
 
 class Line:
     """Ports in memory to two emulated buses; their virtual time is the clock of the command."""
 
-    def __init__(self) -> None:
-        self.benches = [BenchEmulator(PROFILE, np.random.default_rng(1), bus=bus) for bus in (0, 1)]
+    def __init__(self, profile: RobotProfile) -> None:
+        self.benches = [BenchEmulator(profile, np.random.default_rng(1), bus=bus) for bus in (0, 1)]
         self._ports: dict[str, MemoryPort] = {}
 
     def monotonic_ns(self) -> int:
@@ -43,12 +44,20 @@ class Line:
         return self._ports[url]
 
 
+@pytest.fixture(params=[PROFILE, COMMANDS], ids=["registers", "commands"])
+def robot(request: pytest.FixtureRequest) -> RobotProfile:
+    """Return the robot of tests that take each of the two."""
+    found: RobotProfile = request.param
+    return found
+
+
 @pytest.fixture
-def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Line:
+def line(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Line:
+    profile = request.getfixturevalue("robot") if "robot" in request.fixturenames else PROFILE
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", StringIO(""))
-    write_new_profile(Path("robot.toml"), PROFILE)
-    found = Line()
+    write_new_profile(Path("robot.toml"), profile)
+    found = Line(profile)
     monkeypatch.setattr(bus_driver, "open_port", found.open)
     monkeypatch.setattr(servos, "time", found)
     return found
@@ -97,7 +106,7 @@ def test_ports_without_their_buses_are_refused(
 
 
 def test_off_turns_the_torque_of_both_buses_off(
-    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    robot: RobotProfile, line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(servos, "_latch_off", lambda port: "")
     for bench in line.benches:
@@ -110,14 +119,14 @@ def test_off_turns_the_torque_of_both_buses_off(
 
 
 def test_test_moves_joints_of_both_buses(
-    line: Line, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    robot: RobotProfile, line: Line, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(joint_test, "_WAY_NS", 300_000_000)
     assert run("test", "--yes", "--leg", "left front", "--leg", "right front") == 0
     assert "6 of 6 joints are in order" in capsys.readouterr().out
 
 
-def test_set_id_finds_all_servos_of_both_buses_set(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
+def test_set_id_finds_all_servos_of_both_buses_set(robot: RobotProfile, line: Line, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("set-id") == 0
     assert capsys.readouterr().out.count("all 9 servos have their ids") == 2
 

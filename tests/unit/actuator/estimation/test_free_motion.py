@@ -19,14 +19,14 @@ LEG = 2
 
 
 def test_femur_comes_to_rest_where_its_spring_holds_the_links() -> None:
-    free, holding = FreeMotion(SERVO, 0.02), [0.3] * 6
+    free, holding = FreeMotion([SERVO] * 6, [0.02] * 6), [0.3] * 6
     for _ in range(100):
         free.follow([0.5] * 6, [0.0] * 6, holding, 0.02)
     assert free.at(LEG, 0.01) == pytest.approx(0.5 - 0.3 / SERVO.stiffness, abs=SERVO.friction / SERVO.stiffness)
 
 
 def test_torque_of_the_spring_is_limited() -> None:
-    near, far = FreeMotion(SERVO, 0.02), FreeMotion(SERVO, 0.02)
+    near, far = FreeMotion([SERVO] * 6, [0.02] * 6), FreeMotion([SERVO] * 6, [0.02] * 6)
     for free, goal in ((near, SERVO.stall_torque / SERVO.stiffness + 0.1), (far, 3.0)):
         free.follow([goal] * 6, [0.0] * 6, [0.0] * 6, 0.02)
     assert near.at(LEG, 0.0025) == far.at(LEG, 0.0025) > 0.0

@@ -19,7 +19,7 @@ def state(stamp_ns: int, position: int, voltage: int = 0, temperature: int = 0) 
 
 
 def test_load_is_that_of_the_position_controller() -> None:
-    readings = PositionReadings(1, UNITS, STIFFNESS)
+    readings = PositionReadings(UNITS, [STIFFNESS])
     goal = UNITS.angle(540)
     one = readings.reading(0, 7, 5, state(20 * MS, 530), goal)
     assert one.load == pytest.approx(STIFFNESS * 10 * UNITS.tick_rad)
@@ -29,7 +29,7 @@ def test_load_is_that_of_the_position_controller() -> None:
 
 
 def test_estimates_are_marked_and_what_was_not_read_is_nan() -> None:
-    readings = PositionReadings(1, UNITS, STIFFNESS)
+    readings = PositionReadings(UNITS, [STIFFNESS])
     one = readings.reading(0, 7, 0, state(0, 512, 111, 30), 0.0)
     assert one.measured == Feedback.POSITION
     assert math.isnan(one.voltage)
@@ -41,7 +41,7 @@ def test_estimates_are_marked_and_what_was_not_read_is_nan() -> None:
 
 
 def test_speed_is_that_between_two_positions_of_one_servo() -> None:
-    readings = PositionReadings(2, UNITS, STIFFNESS)
+    readings = PositionReadings(UNITS, [STIFFNESS] * 2)
     assert readings.reading(0, 1, 0, state(0, 500), 0.0).speed == 0.0
     assert readings.reading(1, 2, 0, state(10 * MS, 700), 0.0).speed == 0.0
     assert readings.reading(0, 1, 0, state(20 * MS, 504), 0.0).speed == pytest.approx(4 * UNITS.tick_rad / 0.02)

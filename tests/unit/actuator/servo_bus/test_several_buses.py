@@ -16,9 +16,10 @@ from sextant.services.simulator.servo_bus.servo_bank import ServoVariation
 from sextant.services.simulator.servo_bus.servo_banks import make_robot_servos
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
-from tests.support.families import mixed_robot, two_bus_robot
+from tests.support.families import command_robot, mixed_robot, two_bus_robot
 
-PROFILE = two_bus_robot()
+PROFILE, COMMANDS = two_bus_robot(), command_robot()
+ROBOTS = pytest.mark.parametrize("profile", [PROFILE, COMMANDS], ids=["registers", "commands"])
 EXACT = ServoVariation(np.ones(18), np.ones(18), np.zeros(18))
 LEFT, RIGHT = (list(bus.rows) for bus in PROFILE.servos.buses)
 
@@ -114,6 +115,51 @@ def vars_of(profile: RobotProfile) -> dict[str, object]:
     return {name: getattr(profile, name) for name in RobotProfile.__dataclass_fields__}
 
 
+def read_and_moved(profile: RobotProfile) -> tuple[float, float]:
+    """Return how many positions a cycle of 20 ms reads on average, and how many goals arrive, of 18 that change in each."""
+    rig, cycles, read, moved = Rig(profile), 40, 0, 0
+    joints = Joints(profile, Settings(), rig.openers if profile.buses else rig.openers[""], rig.clock)
+    joints.torque_on()
+    rig.pass_time()
+    goal = profile.servos.models[0].table.goal_position
+    for cycle in range(cycles):
+        began, before = rig.clock(), rig.bank.column(goal)
+        readings = joints.read([])
+        joints.write(profile.joint_angles(np.full((6, 3), 0.01 * (cycle % 30))))
+        rig.now_ns = max(rig.clock(), began + 20_000_000)
+        for emulator in rig.emulators.values():
+            emulator.advance(rig.now_ns)
+        rig.bank.set_joint_state(np.zeros(18), np.zeros(18), np.zeros(18), rig.now_ns)
+        rig.bank.advance(0.02)
+        assert {reading.index for reading in readings} <= set(range(18))
+        read, moved = read + len(readings), moved + int((rig.bank.column(goal) != before).sum())
+    return read / cycles, moved / cycles
+
+
+def test_two_buses_read_and_move_twice_as_many_servos_with_commands() -> None:
+    one, two = read_and_moved(command_robot(buses=())), read_and_moved(COMMANDS)
+    assert two[0] > 1.8 * one[0]
+    assert two[1] > 1.4 * one[1]
+    assert two[1] > 16.0, "nearly all goals arrive in each cycle"
+
+
+def test_readings_of_servos_with_commands_are_those_of_their_joints() -> None:
+    rig = Rig(COMMANDS)
+    joints = rig.joints()
+    q, ahead = np.linspace(-0.3, 0.3, 18).reshape(6, 3), np.full((6, 3), 0.02)
+    servo, seen = COMMANDS.servo_angles(q).ravel(), set[int]()
+    rig.pass_time(servo)
+    joints.torque_on()
+    for _ in range(30):
+        rig.pass_time(servo)
+        seen |= {reading.index for reading in joints.read([1, 7])}
+        joints.write(q + ahead)
+    assert seen == set(range(18))
+    np.testing.assert_allclose(joints.q, q, atol=5e-3)
+    tick = COMMANDS.servo_model.units.tick_rad
+    np.testing.assert_allclose(joints.load / COMMANDS.servos.stiffness, ahead, atol=1.1 * tick)
+
+
 def test_one_silent_servo_does_not_delay_the_other_bus() -> None:
     rig = Rig()
     buses = rig.buses()
@@ -126,8 +172,9 @@ def test_one_silent_servo_does_not_delay_the_other_bus() -> None:
     assert not buses.missed[RIGHT].any()
 
 
-def test_lost_bus_is_named_and_comes_back() -> None:
-    rig = Rig()
+@ROBOTS
+def test_lost_bus_is_named_and_comes_back(profile: RobotProfile) -> None:
+    rig = Rig(profile)
     joints = rig.joints()
     rig.pass_time()
     joints.read([])
@@ -146,8 +193,9 @@ def test_lost_bus_is_named_and_comes_back() -> None:
     assert joints.trouble == ""
 
 
-def test_torque_off_reaches_the_bus_that_is_left() -> None:
-    rig = Rig()
+@ROBOTS
+def test_torque_off_reaches_the_bus_that_is_left(profile: RobotProfile) -> None:
+    rig = Rig(profile)
     joints = rig.joints()
     rig.pass_time()
     joints.read([])
@@ -168,8 +216,9 @@ def test_torque_off_reaches_the_bus_that_is_left() -> None:
     assert not rig.command.torque_limit.any()
 
 
-def test_torque_off_ordered_after_the_loss_reaches_the_bus_that_is_left() -> None:
-    rig = Rig()
+@ROBOTS
+def test_torque_off_ordered_after_the_loss_reaches_the_bus_that_is_left(profile: RobotProfile) -> None:
+    rig = Rig(profile)
     joints = rig.joints()
     rig.pass_time()
     joints.read([])
@@ -184,11 +233,12 @@ def test_torque_off_ordered_after_the_loss_reaches_the_bus_that_is_left() -> Non
     assert not rig.command.torque_limit[RIGHT].any()
 
 
-def test_missing_servos_are_named_with_their_bus() -> None:
-    rig = Rig()
+@ROBOTS
+def test_missing_servos_are_named_with_their_bus(profile: RobotProfile) -> None:
+    rig = Rig(profile)
     rig.emulators["right"].cut_off(frozenset(range(9)))
     with pytest.raises(BusSetupError, match=r"^bus right: none of the 9 servos answers"):
-        connect(PROFILE, Settings(), rig.openers, rig.clock).setup()
+        connect(profile, Settings(), rig.openers, rig.clock).setup()
 
 
 def test_robot_with_two_buses_needs_two_ports_and_no_bridge() -> None:

@@ -1,5 +1,7 @@
 """Profiles with several servo models and several buses."""
 
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +9,12 @@ import pytest
 
 from sextant.shared.files.config import ConfigError
 from sextant.shared.robot.joint_names import JOINT_NAMES, JOINTS, LEGS, SIDES, selected
+from sextant.shared.robot.joint_servos import BusJoints, ServoGroup
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profile_text import profile_text
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo.models import XL430_W250, XM430_W350
+from tests.support.families import LEFT_AND_RIGHT, command_robot
 
 XM430 = """
 model = "XM430-W350"
@@ -125,7 +129,7 @@ def test_profile_with_groups_and_buses_is_written_and_read_again(tmp_path: Path)
         ),
         (
             MIXED.replace('"XL430-W250"', '"LX-16A"').replace("position_gain = 640\n", ""),
-            "servos with registers, which can be",
+            r"a servo that measures the same as XM430-W350, which measures its load, expected, found LX-16A, which measures no",
         ),
         (MIXED.replace("joints", "legs"), r"servo_groups\[0\].legs: unknown key"),
         ("[servo]" + XM430 + BUSES.replace('"left"\nj', '"le ft"\nj'), "a name of letters and digits, as left, expected"),
@@ -134,6 +138,26 @@ def test_profile_with_groups_and_buses_is_written_and_read_again(tmp_path: Path)
 def test_wrong_groups_and_buses_are_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         robot(tmp_path, text)
+
+
+@pytest.mark.parametrize("buses", [(), LEFT_AND_RIGHT], ids=["one bus", "two"])
+def test_servos_with_commands_are_mixed_on_one_bus_or_two(tmp_path: Path, buses: tuple[BusJoints, ...]) -> None:
+    profile, path = command_robot(buses=buses), tmp_path / "robot.toml"
+    path.write_text(profile_text(profile), encoding="utf-8")
+    again = load_profile(str(path))
+    assert again.servos.buses == profile.servos.buses
+    assert [model.name for model in again.servos.models[:3]] == ["LX-16A", "HX-35H", "LX-16A"]
+    assert len(again.servos.buses) == max(len(buses), 1)
+
+
+def test_hobby_servos_are_alone_and_have_one_board() -> None:
+    hobby = load_profile("printed_ds3218")
+    with pytest.raises(
+        ValueError, match=r"one model for all joints, as for all robots with hobby servos, expected, found AX-12A besides PWM$"
+    ):
+        replace(hobby, servo_groups=(ServoGroup(joints=("tibia",), **tomllib.loads(AX)),))
+    with pytest.raises(ValueError, match="bus servos on several buses expected, found hobby servos, whose board has one port"):
+        replace(hobby, buses=LEFT_AND_RIGHT)
 
 
 def test_ids_of_two_buses_differ(tmp_path: Path) -> None:
