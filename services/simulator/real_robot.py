@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.shared.robot.profile import Body, Camera, RobotProfile
+from sextant.shared.robot.body import Body
+from sextant.shared.robot.profile import Camera, RobotProfile
 from sextant.shared.scenario.mismatch import Deviation
 
 _PAYLOAD_HEIGHT_M = 0.03  # [m] of a payload's centre above the trunk's upper face; a small battery or computer

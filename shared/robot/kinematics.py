@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
-from sextant.shared.robot.profile import GRAVITY, CoxaFrame, LegLinks, RobotProfile
+from sextant.shared.robot.body import LegLinks
+from sextant.shared.robot.profile import GRAVITY, CoxaFrame, RobotProfile
 
 Point = tuple[float, float, float]  # x, y, z
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sextant.shared.files import config
-from sextant.shared.robot.profile import LEGS, Body, Foot, Leg, LegLinks, RobotProfile
+from sextant.shared.robot.body import Body, Foot, LegLinks
+from sextant.shared.robot.profile import LEGS, Leg, RobotProfile
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
 from sextant.shared.robot.servo import Battery, Servo
 from sextant.shared.robot.servo_proposal import proposed_battery, proposed_servo

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sextant.shared.files import config
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 from sextant.shared.robot import joint_names, joint_servos
+from sextant.shared.robot.body import Body, Foot, LegLinks
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.joint_servos import BusJoints, JointServos, ServoGroup
 from sextant.shared.robot.servo import Battery, Servo
@@ -33,24 +34,6 @@ MAX_CLEARANCE_M = 0.12  # [m] of a swinging foot over both ends of its path
 MIN_MARGIN_M = 0.005  # [m] of the centre of mass inside the polygon of standing feet
 MAX_TRIM_DEG = 20.0  # a larger trim means that the horn is on the wrong notch, or that the pose was wrong
 _MAX_SERVO_DEG = 180.0  # in both directions from the centre, of any model
-
-
-@dataclass(frozen=True, slots=True)
-class LegLinks:
-    """Lengths [m] of the three links of a leg.
-
-    The coxa link goes from the coxa axis to the femur axis, the femur link from the femur axis to the tibia axis, and the tibia
-    link from the tibia axis to the centre of the foot.
-    """
-
-    coxa: float  # [m] coxa axis to femur axis
-    femur: float  # [m] femur axis to tibia axis
-    tibia: float  # [m] tibia axis to the foot's centre
-
-    checks = (*config.each("coxa femur tibia", lambda length: 0.001 <= length <= 10, "a length of 0.001 to 10 m"),)
-
-    def __post_init__(self) -> None:
-        config.verify(self)
 
 
 class CoxaFrame(NamedTuple):
@@ -88,51 +71,6 @@ class Leg:
             "limits (coxa, femur, tibia) within -180 and 180 deg in rising order",
         ),
     )
-
-    def __post_init__(self) -> None:
-        config.verify(self)
-
-
-@dataclass(frozen=True, slots=True)
-class Body:
-    """Trunk of the robot as a box, and the masses of the robot."""
-
-    # [m] length, width, height of the box that must not touch the ground. For a round trunk, length and width are 0.9 of its
-    # diameter: the square of the same area.
-    size: tuple[float, float, float]
-    mass: float  # [kg] of the robot without the six legs; the coxa servos are in the trunk and count here
-    leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
-    # [m] {body} centre of `mass`, including battery, computer and camera. To measure it, hang up the trunk from two points.
-    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    checks = (
-        *config.each("size", lambda edge: 0 < edge <= 10, "an edge of more than 0 and at most 10 m"),
-        *config.each("mass leg_link_masses", lambda mass: 0 < mass <= 1000, "a mass of more than 0 and at most 1000 kg"),
-        config.together(
-            "size centre_of_mass",
-            lambda size, centre: (
-                all(2 * abs(c) <= edge for c, edge in zip(centre[:2], size[:2], strict=True)) and abs(centre[2]) <= max(size)
-            ),
-            "a centre of mass over or under the trunk, in metres from its middle",
-        ),
-    )
-
-    def __post_init__(self) -> None:
-        config.verify(self)
-
-    @property
-    def total_mass(self) -> float:
-        """Mass of the whole robot [kg]."""
-        return self.mass + 6.0 * sum(self.leg_link_masses)
-
-
-@dataclass(frozen=True, slots=True)
-class Foot:
-    """Foot, a sphere around the end of the tibia."""
-
-    radius: float  # [m] of the sphere
-
-    checks = (*config.each("radius", lambda radius: 0 < radius <= 1, "a foot radius of more than 0 and at most 1 m"),)
 
     def __post_init__(self) -> None:
         config.verify(self)

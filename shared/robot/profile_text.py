@@ -30,6 +30,9 @@ def profile_text(profile: RobotProfile, heading: Sequence[str] = ()) -> str:
     table = config.as_table(profile)
     for key in _without_effect(profile.servo):
         del table["servo"][key]
+    for key in ("inertia", "leg_link_inertias"):
+        if not any(getattr(profile.body, key)):
+            del table["body"][key]
     lines = [f"# {line}" for line in heading]
     lines += [f"{key} = {_value(value)}" for key, value in table.items() if value != [] and not _is_table(value)]
     for name, value in table.items():

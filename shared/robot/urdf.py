@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from sextant.shared.geometry import Array, rpy_from_rotation
+from sextant.shared.robot.body import Body
 from sextant.shared.robot.links import BASE, LINK_RADII_M, Joint, fixed_joints, hinges
 from sextant.shared.robot.profile import JOINTS, RobotProfile
 from sextant.shared.robot.servo import Servo
@@ -24,7 +25,7 @@ def urdf(profile: RobotProfile) -> str:
     lengths = (profile.links.coxa, profile.links.femur, profile.links.tibia - profile.foot.radius)
     for k, joint in enumerate(hinges(profile)):
         part = k % 3
-        link = _add_link(robot, joint.child, profile.body.leg_link_masses[part], lengths[part], LINK_RADII_M[part])
+        link = _add_link(robot, joint.child, profile.body, part, lengths[part])
         if part == _TIBIA:
             _add_shape(link, (profile.links.tibia, 0.0, 0.0), "0 0 0", "sphere", radius=_text(profile.foot.radius))
         _add_hinge(robot, joint, profile.servos.each[k], profile.joint_limits.reshape(18, 2)[k])
@@ -36,37 +37,20 @@ def urdf(profile: RobotProfile) -> str:
 
 
 def _add_trunk(robot: ET.Element, profile: RobotProfile) -> None:
-    """Add the trunk, whose inertia is that of a uniform box around its centre of mass."""
-    body, size = profile.body, np.array(profile.body.size)
+    body = profile.body
     link = ET.SubElement(robot, "link", name=BASE)
-    _add_inertia(link, body.centre_of_mass, body.mass, body.mass / 12.0 * (np.sum(size**2) - size**2))
+    _add_inertia(link, body.centre_of_mass, body.mass, body.trunk_inertia)
     _add_shape(link, (0.0, 0.0, 0.0), "0 0 0", "box", size=_text(*body.size))
 
 
-def _add_link(robot: ET.Element, name: str, mass: float, length: float, radius: float) -> ET.Element:
-    """Add a link of a leg: a cylinder along x, with the inertia of a uniform capsule."""
+def _add_link(robot: ET.Element, name: str, body: Body, part: int, length: float) -> ET.Element:
+    """Add a link of a leg: a cylinder along x, with the inertia of a capsule."""
+    radius = LINK_RADII_M[part]
     link = ET.SubElement(robot, "link", name=name)
     middle = (length / 2, 0.0, 0.0)
-    _add_inertia(link, middle, mass, capsule_inertia(mass, length, radius))
+    _add_inertia(link, middle, body.leg_link_masses[part], body.link_inertia(part, length, radius))
     _add_shape(link, middle, _text(0.0, np.pi / 2, 0.0), "cylinder", length=_text(length), radius=_text(radius))
     return link
-
-
-def capsule_inertia(mass: float, length: float, radius: float) -> Array:
-    """Return the principal inertias (3,) [kg m^2] of a uniform capsule along x about its centre.
-
-    Args:
-        mass: [kg].
-        length: [m] of its cylinder, without the two hemispheres.
-        radius: [m].
-    """
-    cylinder, ball = length, 4.0 / 3.0 * radius  # volumes per pi radius^2
-    m_cylinder, m_ball = mass * cylinder / (cylinder + ball), mass * ball / (cylinder + ball)
-    along = m_cylinder * radius**2 / 2 + m_ball * 0.4 * radius**2
-    across = m_cylinder * (length**2 / 12 + radius**2 / 4) + m_ball * (
-        0.4 * radius**2 + length**2 / 4 + 3.0 / 8.0 * length * radius
-    )
-    return np.array([along, across, across])
 
 
 def _add_inertia(link: ET.Element, centre: tuple[float, float, float], mass: float, principal: Array) -> None:

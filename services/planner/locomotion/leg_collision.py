@@ -13,8 +13,9 @@ from sextant.services.planner.compiled_terrain import AROUND_FOOT, FEMUR, PUSHED
 from sextant.services.planner.locomotion.swing_clearance import ALONG, LEVEL, RISEN, SWING_TIME, lowest_path, path_at
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array
+from sextant.shared.robot.body import LegLinks
 from sextant.shared.robot.kinematics import leg_inverse, leg_nearest_reachable
-from sextant.shared.robot.profile import LEGS, LegLinks, RobotProfile
+from sextant.shared.robot.profile import LEGS, RobotProfile
 
 _LIFTS = 4  # number of lifts to try, up to the highest
 

@@ -90,7 +90,11 @@ def _link(model: Any, body: int, name: str, is_root: bool) -> DescribedLink:
     sites = [site for site in range(model.nsite) if model.site_bodyid[site] == body]
     marks = {model.site(site).name: np.array(model.site_pos[site]) for site in sites if model.site(site).name}
     mass = float(model.body_mass[body])
-    return DescribedLink(name, mass if mass > 2 * _LEAST_MASS else 0.0, np.array(model.body_ipos[body]), shapes, marks)
+    if mass <= 2 * _LEAST_MASS:
+        return DescribedLink(name, shapes=shapes, marks=marks)
+    R = rotation_from_quaternion(model.body_iquat[body])
+    inertia = R @ np.diag(model.body_inertia[body]) @ R.T
+    return DescribedLink(name, mass, np.array(model.body_ipos[body]), inertia, shapes, marks)
 
 
 def _shape(model: Any, geom: int) -> Shape | None:

@@ -174,9 +174,8 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
     body.add_freejoint(name="body")
     half = np.array(profile.body.size) / 2
     body.add_geom(name="trunk", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=_TRUNK_RGBA, **solid)
-    # The inertia is that of a uniform box of the trunk's size, centred at the profile's centre of mass.
     body.explicitinertial, body.mass, body.ipos = True, profile.body.mass, profile.body.centre_of_mass
-    body.inertia = profile.body.mass / 3.0 * (np.sum(half**2) - half**2)
+    body.inertia = profile.body.trunk_inertia
     lengths = factors.link_lengths + np.array([profile.links.coxa, profile.links.femur, profile.links.tibia])
     up = [0.0, -1.0, 0.0]  # a positive rotation about -y lifts a link that points along x
     for leg, (name, T) in enumerate(zip((part.name for part in profile.legs), profile.T_body_coxa, strict=True)):
@@ -203,6 +202,9 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
                 rgba=_LEG_RGBA,
                 **solid,
             )
+            if profile.body.leg_link_inertias[joint]:
+                link.explicitinertial, link.mass, link.ipos = True, profile.body.leg_link_masses[joint], [tip / 2, 0.0, 0.0]
+                link.inertia = profile.body.link_inertia(joint, tip, LINK_RADII_M[joint])
             servo = spec.add_actuator(name=label, target=label, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=data_sheet.stiffness)
             servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE

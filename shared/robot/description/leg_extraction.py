@@ -35,6 +35,7 @@ class DescribedLeg:
     zeros: Array  # (3,) [rad]
     limits: Array  # (3, 2) [rad] of the profile's joint angles
     masses: Array  # (3,) [kg] coxa, femur, tibia
+    inertias: Array  # (3,) [kg m^2] of them about their centres of mass, around the axes across the link; 0: not stated
     foot_radius: float  # [m]; 0 if no sphere or capsule shows it
 
 
@@ -92,6 +93,25 @@ class DescribedBodies:
     def mass(self, body: str) -> float:
         """Return the mass [kg] of a rigid body."""
         return sum(link.mass for link, _ in self.links(body))
+
+    def centre_of_mass(self, body: str) -> Array:
+        """Return the centre of mass (3,) [m] of a rigid body with a mass."""
+        moment = sum((link.mass * apply(T, link.centre) for link, T in self.links(body)), np.zeros(3))
+        return np.asarray(moment / self.mass(body))
+
+    def inertia(self, body: str) -> Array:
+        """Return the inertia (3, 3) [kg m^2] of a rigid body about its centre of mass.
+
+        It is zero if a link with a mass states none.
+        """
+        total = np.zeros((3, 3))
+        if any(link.mass > 0.0 and not link.inertia.any() for link, _ in self.links(body)) or self.mass(body) <= 0.0:
+            return total
+        centre = self.centre_of_mass(body)
+        for link, T in self.links(body):
+            d = apply(T, link.centre) - centre
+            total += T[:3, :3] @ link.inertia @ T[:3, :3].T + link.mass * (d @ d * np.eye(3) - np.outer(d, d))
+        return total
 
     def axis(self, joint: DescribedJoint) -> tuple[Array, Array]:
         """Return a point (3,) [m] and the direction (3,) of a hinge."""
@@ -218,8 +238,20 @@ def leg_of(bodies: DescribedBodies, name: str, chain: Sequence[DescribedJoint], 
         zeros=zeros,
         limits=np.sort(signs[:, None] * bounds, axis=1) + zeros[:, None],
         masses=np.array([bodies.mass(joint.child) for joint in chain]),
+        inertias=np.array(
+            [
+                _across(bodies.inertia(joint.child), end - start)
+                for joint, start, end in zip(chain, (p_coxa, p_femur, p_tibia), (p_femur, p_tibia, p_foot), strict=True)
+            ]
+        ),
         foot_radius=radius,
     )
+
+
+def _across(inertia: Array, along: Array) -> float:
+    """Return the mean moment of inertia [kg m^2] around the axes across a link, of its inertia (3, 3)."""
+    along = along / np.linalg.norm(along)
+    return float(np.trace(inertia) - along @ inertia @ along) / 2
 
 
 def foot_position(bodies: DescribedBodies, chain: Sequence[DescribedJoint], p_foot: Array, angles: Array) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from sextant.shared.errors import SextantError
 from sextant.shared.files import input_file
 from sextant.shared.geometry import Array, inverse, rpy_from_rotation
+from sextant.shared.robot.body import Body, Foot, LegLinks
 from sextant.shared.robot.description.leg_extraction import (
     FORWARD,
     DescribedBodies,
@@ -24,7 +25,7 @@ from sextant.shared.robot.description.leg_extraction import (
 )
 from sextant.shared.robot.description.robot_description import DescribedJoint, DescriptionError, RobotDescription
 from sextant.shared.robot.kinematics import body_forward
-from sextant.shared.robot.profile import JOINTS, LEGS, Body, Camera, Foot, Leg, LegLinks, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, Camera, Leg, RobotProfile
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
 from sextant.shared.robot.servo import Servo
 from sextant.shared.robot.servo_proposal import nearest_servo, proposed_battery, proposed_servo, unknown_model
@@ -34,6 +35,8 @@ from sextant.shared.spelling import hint
 _LENGTH_TOLERANCE_M = 0.002  # [m] by which legs of one robot may differ
 _FOOT_RADIUS_M = 0.01  # [m] if the description shows none
 _NO_SERVO_NM, _NO_SERVO_RAD_S = 30.0, 30.0  # torque and speed that stand for "unlimited" in a description
+_INERTIA_DIGITS = 9  # of kg m^2
+_TURNED = 0.02  # [1] largest product of inertia, as a share of the largest moment, that raises no note
 _TRUNK_HEIGHT_M = 0.04  # [m] the same
 _POSES, _SEED = 50, 0  # joint angles with which the profile is verified
 _OPTICAL = "optical"  # part of the names of cameras' frames with z along the line of sight
@@ -250,14 +253,32 @@ def _body(bodies: DescribedBodies, described: Sequence[DescribedLeg], origin: Ar
     mass = bodies.mass(bodies.root)
     if mass <= 0.0 or (masses <= 0.0).any():
         raise DescriptionError("a mass of the trunk and of each link of a leg expected (<inertial>), found none")
-    moment = sum((link.mass * (T[:3, :3] @ link.centre + T[:3, 3]) for link, T in bodies.links(bodies.root)), np.zeros(3))
-    centre = moment / mass - origin
+    centre = bodies.centre_of_mass(bodies.root) - origin
     inside = np.clip(centre, -size / 2, size / 2)
     if np.abs(centre - inside).max() > 1e-9:
         notes.append("the centre of mass is outside of the trunk: it was moved to its edge; set body.centre_of_mass")
     centre = np.where(np.abs(inside) < 1e-12, 0.0, inside)
-    notes.append("inertias follow from masses and simple shapes, not from the description")
-    return Body(_three(size), round(mass, _LENGTH_DIGITS), _three(masses), _three(centre))
+    body = Body(_three(size), round(mass, _LENGTH_DIGITS), _three(masses), _three(centre))
+    of_links = np.median([leg.inertias for leg in described], axis=0)
+    of_trunk = _trunk_inertia(bodies.inertia(bodies.root), body, notes)
+    return replace(body, inertia=of_trunk, leg_link_inertias=_three(of_links, _INERTIA_DIGITS))
+
+
+def _trunk_inertia(inertia: Array, body: Body, notes: list[str]) -> tuple[float, float, float]:
+    """Return the moments of inertia of a trunk in axes of the body; zeros, those of a uniform box, if they are unusable."""
+    if not inertia.any():
+        notes.append("the description states no inertia of the trunk: that of a uniform box is used")
+        return 0.0, 0.0, 0.0
+    around = np.diag(inertia)
+    if np.abs(inertia - np.diag(around)).max() > _TURNED * around.max():
+        notes.append("the trunk's axes of inertia are turned against the body: only the moments around x, y and z are taken")
+    found = _three(around, _INERTIA_DIGITS)
+    try:
+        replace(body, inertia=found)
+    except ValueError:
+        notes.append("the trunk's inertia is that of no body: that of a uniform box is used; set body.inertia")
+        return 0.0, 0.0, 0.0
+    return found
 
 
 def _foot(described: Sequence[DescribedLeg], notes: list[str]) -> Foot:

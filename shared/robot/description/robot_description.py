@@ -37,6 +37,7 @@ class DescribedLink:
     name: str
     mass: float = 0.0  # [kg]
     centre: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m] {link} centre of mass
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))  # [kg m^2] about it, in axes of {link}; zeros: not stated
     shapes: tuple[Shape, ...] = ()
     marks: Mapping[str, Array] = field(default_factory=dict)  # (3,) [m] {link} named points, such as sites
 
@@ -89,12 +90,19 @@ def read_urdf(text: str) -> RobotDescription:
 def _link(element: ET.Element) -> DescribedLink:
     name = element.get("name", "")
     inertial = element.find("inertial")
-    mass, centre = 0.0, np.zeros(3)
+    mass, centre, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     if inertial is not None:
         mass = _number(inertial.find("mass"), "value", f"link {name}", 0.0)
-        centre = _pose(inertial, f"link {name}")[:3, 3]
+        T = _pose(inertial, f"link {name}")
+        centre, inertia = T[:3, 3], T[:3, :3] @ _inertia(inertial.find("inertia"), f"link {name}") @ T[:3, :3].T
     collision, visual = (tuple(_shapes(element, kind, name)) for kind in ("collision", "visual"))
-    return DescribedLink(name, mass, centre, collision or visual)
+    return DescribedLink(name, mass, centre, inertia, collision or visual)
+
+
+def _inertia(element: ET.Element | None, place: str) -> Array:
+    """Return the inertia (3, 3) [kg m^2] of a link about its centre of mass, zeros if it is not stated."""
+    xx, xy, xz, yy, yz, zz = (_number(element, key, place, 0.0) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _shapes(link: ET.Element, kind: str, name: str) -> Iterator[Shape]:

@@ -10,8 +10,9 @@ import numpy as np
 
 from sextant.shared.files import config
 from sextant.shared.geometry import Array
+from sextant.shared.robot.body import Foot, LegLinks
 from sextant.shared.robot.kinematics import leg_inverse
-from sextant.shared.robot.profile import Foot, Leg, LegLinks, RobotProfile, Stance
+from sextant.shared.robot.profile import Leg, RobotProfile, Stance
 from sextant.shared.spelling import hint
 
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.leg_odometry import LegOdometry
 from sextant.shared.geometry import Array, apply, exp_so3, from_xyz_rpy, inverse, skew, transform
+from sextant.shared.robot.body import Foot
 from sextant.shared.robot.kinematics import body_inverse, leg_points
-from sextant.shared.robot.profile import Foot, RobotProfile
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 
 Flags = NDArray[np.bool_]

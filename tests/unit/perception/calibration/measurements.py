@@ -8,8 +8,9 @@ from sextant.services.perception.calibration.floor_view import block_centres
 from sextant.services.perception.calibration.kinematic_calibration import JointTrack, Recording
 from sextant.services.perception.calibration.survey import postures
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, interpolate, inverse
+from sextant.shared.robot.body import Foot
 from sextant.shared.robot.kinematics import body_inverse
-from sextant.shared.robot.profile import Foot, RobotProfile
+from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import FloorView
 

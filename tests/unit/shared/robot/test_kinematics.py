@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.shared.robot import kinematics
-from sextant.shared.robot.profile import LEGS, LegLinks, RobotProfile
+from sextant.shared.robot.body import LegLinks
+from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 
 Array = NDArray[np.float64]

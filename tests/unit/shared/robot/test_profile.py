@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from sextant.shared.files import config
 from sextant.shared.geometry import apply
+from sextant.shared.robot.body import Body, Foot, LegLinks
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.kinematics import body_inverse, within_limits
-from sextant.shared.robot.profile import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile
+from sextant.shared.robot.profile import LEGS, Calibration, Leg, RobotProfile
 from sextant.shared.robot.profiles import load_profile, profile_names
 from sextant.shared.robot.servo import Servo
 from sextant.shared.servo.models import MODEL_NAMED
@@ -428,3 +429,14 @@ def test_errors_of_extended_profile_are_reported(text: str, words: str, tmp_path
 def test_servo_names_are_joint_names() -> None:
     assert list(PROFILE.servo_names) == PROFILE.servo_ids.ravel().tolist()
     assert PROFILE.servo_names[PROFILE.legs[4].servo_ids[1]] == "left rear femur"
+
+
+@pytest.mark.parametrize("inertia", [(0.001, 0.001, 0.01), (0.0, 0.001, 0.001), (-0.001, 0.002, 0.002), (1e5, 1e5, 1e5)])
+def test_inertia_of_no_body_is_refused(inertia: tuple[float, float, float]) -> None:
+    with pytest.raises(ValueError, match="inertia"):
+        replace(PROFILE.body, inertia=inertia)
+
+
+def test_moments_of_a_uniform_trunk_are_those_of_a_box() -> None:
+    body = replace(PROFILE.body, size=(0.3, 0.2, 0.1), mass=1.2)
+    assert body.trunk_inertia == pytest.approx([0.1 * (0.04 + 0.01), 0.1 * (0.09 + 0.01), 0.1 * (0.09 + 0.04)])

@@ -1,5 +1,7 @@
 """Exported models: MuJoCo loads URDF and MJCF, and they agree with the kinematics and with the simulator."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from sextant.shared.robot.profiles import load_profile, profile_names
 from sextant.shared.robot.urdf import urdf
 
 FLAT = Terrain(Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))), plane=0.0)
+PHANTOMX = load_profile("phantomx_mk2")
 by_profile = pytest.mark.parametrize("profile", [load_profile(name) for name in profile_names()], ids=lambda p: p.name)
 
 
@@ -50,6 +53,18 @@ def test_links_of_urdf_have_masses_and_inertias_of_simulator(profile: RobotProfi
     np.testing.assert_allclose(found.body_mass[-18:], expected.body_mass[-18:], rtol=1e-6)
     np.testing.assert_allclose(np.sort(found.body_inertia[-18:]), np.sort(expected.body_inertia[-18:]), rtol=1e-6)
     np.testing.assert_allclose(found.dof_damping, expected.dof_damping[-18:], rtol=1e-6)
+
+
+def test_inertias_of_a_profile_are_those_of_the_simulator_and_of_the_urdf() -> None:
+    body = replace(PHANTOMX.body, inertia=(0.003, 0.005, 0.007), leg_link_inertias=(0.00005, 0.0001, 0.0002))
+    robot = replace(PHANTOMX, body=body)
+    for model in (model_spec(robot, FLAT, Factors.none()).compile(), mujoco.MjModel.from_xml_string(urdf(robot))):
+        np.testing.assert_allclose(
+            np.sort(model.body_inertia[-18:], axis=1)[:3, 1:], [[5e-5] * 2, [1e-4] * 2, [2e-4] * 2], rtol=1e-6
+        )
+        np.testing.assert_allclose(model.body_mass[-18:].sum(), 6 * sum(body.leg_link_masses))
+    trunk = model_spec(robot, FLAT, Factors.none()).compile().body("body")
+    np.testing.assert_allclose(trunk.inertia, body.inertia)
 
 
 @by_profile

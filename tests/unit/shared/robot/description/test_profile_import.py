@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.evaluation.robot_check.gait_cycle import walk_cycle
-from sextant.shared.geometry import exp_so3, rotation_z, transform
+from sextant.shared.geometry import Array, exp_so3, rotation_z, transform
+from sextant.shared.robot.body import Body
 from sextant.shared.robot.description.profile_import import import_profile, read_legs
 from sextant.shared.robot.description.robot_description import (
     DescribedJoint,
@@ -23,7 +24,7 @@ from sextant.shared.robot.description.robot_description import (
     read_urdf,
 )
 from sextant.shared.robot.kinematics import body_forward
-from sextant.shared.robot.links import BASE, hinges
+from sextant.shared.robot.links import BASE, LINK_RADII_M, hinges
 from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.profile_proposal import proposed_stance
 from sextant.shared.robot.profile_text import profile_text, write_new_profile
@@ -33,6 +34,7 @@ from sextant.shared.robot.urdf import urdf
 
 PROFILE = load_profile("phantomx_mk2")
 TRUNK = Shape("box", np.eye(4), (0.12, 0.06, 0.02))
+TRUNK_INERTIA, LINK_INERTIA = np.array([0.003, 0.005, 0.007]), 0.00012
 
 
 def described(profile: RobotProfile, seed: int | None = None, bend: float = 0.0) -> RobotDescription:
@@ -41,7 +43,11 @@ def described(profile: RobotProfile, seed: int | None = None, bend: float = 0.0)
     With a `bend` [rad], femur and tibia are bent at joint angle zero.
     """
     rng = np.random.default_rng(seed)
-    links, joints, turned = {BASE: DescribedLink(BASE, 1.4, np.zeros(3), (TRUNK,))}, [], {BASE: np.eye(4)}
+    links, joints, turned = (
+        {BASE: DescribedLink(BASE, 1.4, inertia=np.diag(TRUNK_INERTIA), shapes=(TRUNK,))},
+        [],
+        {BASE: np.eye(4)},
+    )
     for k, joint in enumerate(hinges(profile)):
         axis = np.array(joint.axis)
         G = np.eye(4) if seed is None else transform(exp_so3(rng.uniform(-2.0, 2.0, 3)), np.zeros(3))
@@ -65,7 +71,8 @@ def described(profile: RobotProfile, seed: int | None = None, bend: float = 0.0)
         length = (profile.links.coxa, profile.links.femur, profile.links.tibia)[k % 3]
         tip = np.linalg.inv(G)[:3, :3] @ [length, 0.0, 0.0]
         marks = {"foot": tip} if k % 3 == 2 else {}
-        links[joint.child] = DescribedLink(joint.child, 0.06, tip / 2, (), marks)
+        inertia = LINK_INERTIA * (np.eye(3) - 0.9 * np.outer(tip, tip) / (tip @ tip))
+        links[joint.child] = DescribedLink(joint.child, 0.06, tip / 2, inertia, marks=marks)
     return RobotDescription("any", links, tuple(joints))
 
 
@@ -81,10 +88,21 @@ def test_exported_urdf_is_imported_with_the_same_kinematics(name: str, tmp_path:
     np.testing.assert_allclose(again.joint_limits, robot.joint_limits, atol=2e-6)
     for part in ("mass", "leg_link_masses", "size", "centre_of_mass"):
         np.testing.assert_allclose(getattr(again.body, part), getattr(robot.body, part), atol=1e-6)
+    np.testing.assert_allclose(again.body.trunk_inertia, robot.body.trunk_inertia, rtol=1e-4)
+    for joint in range(3):
+        across = [body.link_inertia(joint, 0.05, 0.01)[1:] for body in (again.body, export_body(robot))]
+        np.testing.assert_allclose(*across, rtol=1e-3)
     if robot.servo.pulses is None:  # hobby servos are not looked for
         assert (again.servo.model, again.servo.stall_torque) == (robot.servo.model, robot.servo.stall_torque)
     assert again.foot == robot.foot
     np.testing.assert_allclose(again.camera.T_body_camera, robot.camera.T_body_camera, atol=1e-5)
+
+
+def export_body(robot: RobotProfile) -> Body:
+    """Return the body with the inertias of the links that are exported."""
+    lengths = (robot.links.coxa, robot.links.femur, robot.links.tibia - robot.foot.radius)
+    across = [robot.body.link_inertia(k, lengths[k], LINK_RADII_M[k])[1] for k in range(3)]
+    return replace(robot.body, leg_link_inertias=(across[0], across[1], across[2]))
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-0.8, 0.8))
@@ -97,7 +115,38 @@ def test_frames_signs_and_zero_angles_of_a_description_do_not_matter(seed: int, 
     q = np.random.default_rng(0).uniform(-0.5, 0.5, (20, 6, 3))
     np.testing.assert_allclose(body_forward(found.profile, q), body_forward(PROFILE, q), atol=1e-6)
     np.testing.assert_allclose(found.profile.joint_limits, PROFILE.joint_limits, atol=5e-6)
+    np.testing.assert_allclose(found.profile.body.inertia, TRUNK_INERTIA, atol=1e-9)
+    np.testing.assert_allclose(found.profile.body.leg_link_inertias, LINK_INERTIA, atol=1e-9)
     assert found.joints["right rear"] == ("right_rear_coxa", "right_rear_femur", "right_rear_tibia")
+
+
+def with_trunk(link: DescribedLink, *parts: DescribedJoint, **links: DescribedLink) -> RobotDescription:
+    description = described(PROFILE)
+    return replace(description, links={**description.links, BASE: link, **links}, joints=(*description.joints, *parts))
+
+
+def test_inertia_of_a_trunk_of_two_parts_is_about_their_common_centre() -> None:
+    """Two plates of 0.7 kg, 0.1 m apart along x: the moments around y and z grow by 2 * 0.7 * 0.05^2."""
+    plate = DescribedLink(BASE, 0.7, np.array([0.05, 0.0, 0.0]), np.diag([0.001, 0.001, 0.001]), (TRUNK,))
+    turned = transform(rotation_z(np.pi / 2), [-0.05, 0.0, 0.0])
+    other = DescribedLink("other", 0.7, np.zeros(3), np.diag([0.001, 0.002, 0.001]))
+    found = import_profile(with_trunk(plate, DescribedJoint("mount", BASE, "other", turned), other=other))
+    np.testing.assert_allclose(found.profile.body.inertia, (0.003, 0.0055, 0.0055), atol=1e-9)
+    np.testing.assert_allclose(found.profile.body.centre_of_mass, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "words", "kept"),
+    [
+        (np.zeros((3, 3)), "states no inertia of the trunk", 0.0),
+        (np.diag([0.001, 0.001, 0.01]), "inertia is that of no body", 0.0),
+        (np.array([[0.004, 0.001, 0.0], [0.001, 0.004, 0.0], [0.0, 0.0, 0.006]]), "axes of inertia are turned", 0.004),
+    ],
+)
+def test_inertia_that_a_profile_cannot_hold_is_said(inertia: Array, words: str, kept: float) -> None:
+    found = import_profile(with_trunk(DescribedLink(BASE, 1.4, inertia=inertia, shapes=(TRUNK,))))
+    assert found.profile.body.inertia[0] == kept
+    assert any(words in note for note in found.notes)
 
 
 def test_turned_robot_is_imported_by_its_front() -> None:
