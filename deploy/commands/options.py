@@ -148,6 +148,7 @@ class Variant:
     """Robot, walk, radio and parameters in place of those of a scenario, where they are given."""
 
     robot: str = ""
+    scaled: bool = False
     gait: "GaitRequest | None" = None
     speed: float | Literal["auto"] | None = None
     height: float | None = None
@@ -163,6 +164,15 @@ class Variant:
 
         return self.applied()(load_scenario(scenario))
 
+    def source(self, scenario: str, robot: str) -> str:
+        """Return the scenario by name or absolute path, with its scale for a robot, so that other processes can load it."""
+        path = str(Path(scenario).resolve()) if scenario.endswith(".toml") else scenario
+        if not self.scaled:
+            return path
+        from sextant.shared.scenario.scale import suffix_of
+
+        return f"{path}{suffix_of(_leg_scale(robot))}"
+
     def applied(self) -> Callable[["Scenario"], "Scenario"]:
         """Return a function that applies these changes to a scenario.
 
@@ -177,6 +187,8 @@ class Variant:
         def apply(scenario: "Scenario") -> "Scenario":
             if profile:
                 scenario = replace(scenario, robot=profile)
+            if self.scaled:
+                scenario = scenario.scaled(_leg_scale(scenario.robot))
             if radio.exists:
                 scenario = replace(scenario, link=radio)
             scenario = replace(assigned(scenario, self.params), plugins=plugins)
@@ -232,6 +244,7 @@ variant = options_of(
     Variant,
     "variant",
     option("--robot", "robot profile by name, or path of a TOML file (default: the scenario's)", "NAME", default=""),
+    flag("--scaled", "scale the course to the robot's legs"),
     option("--gait", "gait, or auto: the planner chooses (default: the scenario's)", type=GAIT),
     option("--speed", "speed in m/s, or auto: the planner chooses (default: the scenario's)", "SPEED", type=walk_speed),
     option(
@@ -273,6 +286,13 @@ def checked_robot(robot: str) -> str:
     name = str(Path(robot).resolve()) if robot.endswith(".toml") else robot
     load_profile(name)
     return name
+
+
+def _leg_scale(robot: str) -> float:
+    from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.scenario.scale import leg_scale
+
+    return leg_scale(load_profile(robot))
 
 
 def _radio(text: str) -> "Link":

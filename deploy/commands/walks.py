@@ -109,7 +109,7 @@ def run(
         raise InputError(f"{name} is for services that this command starts live; leave --lockstep and --connect out")
     attach = connection.endpoints() if connection.connect else None
     course = replace(course, bridge=True) if bridge else course
-    walk = _Walk(course, scenario, seed, out_folder(out, f"{course.name}-{seed}"), as_json)
+    walk = _Walk(course, variant.source(scenario, course.robot), seed, out_folder(out, f"{course.name}-{seed}"), as_json)
     if lockstep:
         return _run_lockstep(walk, record_depth)
     return _run_live(walk, "use --lockstep", slow_down, attach, parent, windows)
@@ -120,7 +120,7 @@ class _Walk:
     """One walk and where its results go."""
 
     scenario: "Scenario"
-    source: str  # name or path of the scenario
+    source: str  # name or absolute path of the scenario, for other processes
     seed: int
     out: Path
     as_json: bool = False
@@ -244,14 +244,13 @@ def _run_live(
             raise CommandError(f"{problem}; `sextant doctor` checks what the services need")
         if interrupts.asked():
             raise KeyboardInterrupt
-        source = str(Path(walk.source).resolve()) if walk.source.endswith(".toml") else walk.source
         watched = not attach and (windows.page or (windows.page is None and sys.stdout.isatty() and not walk.as_json))
         shown = Page(page_port(progress.say)) if watched else None
         if shown:
             progress.say(f"watch it, or lead it yourself: {shown.url}")
         outcome = live_run.run_live_scenario(
             walk.scenario,
-            source,
+            walk.source,
             walk.seed,
             walk.out,
             progress,

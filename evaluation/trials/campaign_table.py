@@ -14,6 +14,7 @@ from sextant.evaluation.trials.statistics import Rate, wilson
 from sextant.evaluation.trials.table_text import Table
 from sextant.evaluation.trials.trials import Passages, Trials, in_words
 from sextant.shared.files import whole_files
+from sextant.shared.scenario.scale import unscaled_name
 
 # Courses of the public table in its order, with a description.
 WALKED: Mapping[str, str] = {
@@ -130,7 +131,8 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     places = {name: place for place, name in enumerate(_NAMED)}
     pairs: dict[tuple[int, str, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
-        pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait, t.params), []).append(t)
+        place = places.get(unscaled_name(t.scenario), len(places))
+        pairs.setdefault((place, t.scenario, t.robot, t.gait, t.params), []).append(t)
     left_out = (f"{older} runs of an earlier program or scenario",) if older else ()
     return Campaign(tuple(Entry(*pairs[key]) for key in sorted(pairs)), left_out)
 

@@ -14,7 +14,7 @@ from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import MAX_CLEARANCE_M, MAX_TRAVEL_M, MIN_MARGIN_M, Camera, RobotProfile, Stance
 from sextant.shared.robot.reach import height_range, longest_stride
 
-_REFERENCE_LEG_M = 0.199  # [m] femur and tibia of a PhantomX, to which the lengths of its stance belong
+REFERENCE_LEG_M = 0.199  # [m] femur and tibia of a PhantomX, to which the lengths of its stance belong
 _REFERENCE_SPEED = 6.178  # [rad/s] of its servos
 _REACH_SHARE, _HEIGHT_SHARE, _STRIDE_SHARE = 0.30, 0.52, 0.5  # of femur and tibia: coxa link to foot, body height, stride
 _TRIED = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12, 0.16, -0.16, 0.2, 0.25, 0.3)  # deviations of the first two, in this order
@@ -40,7 +40,7 @@ def proposed_stance(profile: RobotProfile) -> Stance:
     stride. If none do, they are those with the longest stride.
     """
     links, leg = profile.links, profile.links.femur + profile.links.tibia
-    scale = leg / _REFERENCE_LEG_M
+    scale = leg / REFERENCE_LEG_M
     wanted = min(_STRIDE_SHARE * leg, MAX_TRAVEL_M)
     best: tuple[float, Stance] | None = None
     for more, higher in sorted(product(_TRIED, _TRIED), key=lambda shift: abs(shift[0]) + abs(shift[1])):

@@ -15,6 +15,7 @@ class Level:
     length: float  # [m] along the course
     kind: Literal["level"] = "level"
 
+    lengths = "length"
     checks = (*bounded("length", 1000, "m"),)
 
     def __post_init__(self) -> None:
@@ -30,6 +31,7 @@ class Ramp:
     kind: Literal["ramp"] = "ramp"
     angle_spread_deg: float = 0.0  # [deg] maximum random offset of the angle, of either sign
 
+    lengths = "length"
     checks = (*bounded("length", 1000, "m"),)
 
     def __post_init__(self) -> None:
@@ -53,6 +55,7 @@ class Flight:
     riser_spread: float = 0.0  # [m] maximum random offset of the risers, of either sign
     tread_spread: float = 0.0  # [m] maximum random offset of the treads, of either sign
 
+    lengths = "riser tread riser_spread tread_spread"
     checks = (*STEP_COUNT, *bounded("riser tread riser_spread tread_spread", 100, "m"))
 
     def __post_init__(self) -> None:
@@ -74,6 +77,7 @@ class Blocks:
     gap: float = 0.02  # [m] minimum distance between blocks
     yaw_deg: float = 180.0  # [deg] headings are uniform within +- this angle
 
+    lengths = "length size top gap"
     checks = (
         *BLOCK_COUNT,
         *bounded("length size gap", 1000, "m"),
@@ -99,6 +103,7 @@ class Stones:
     jitter: float = 0.0  # [m] maximum random displacement of each stone along each axis
     top: tuple[float, float] = (0.0, 0.0)  # [m] lowest and highest random top, relative to the ground before the stones
 
+    lengths = "length size gap jitter top"
     checks = (*bounded("length size gap jitter", 1000, "m"), *bounded("top", 100, "m"))
 
     def __post_init__(self) -> None:
@@ -121,6 +126,7 @@ class Gap:
     kind: Literal["gap"] = "gap"
     spread: float = 0.0  # [m] maximum random offset of the length, of either sign
 
+    lengths = "length spread"
     checks = (*bounded("length spread", 1000, "m"),)
 
     def __post_init__(self) -> None:
@@ -146,6 +152,7 @@ class Course:
     rest: float = 0.0  # [m] level ground inserted between any two of these
     color: tuple[int, int, int] | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
+    lengths = "width x bottom rest"
     checks = (*bounded("width x rest", 1000, "m"), *bounded("bottom", 100, "m"))
 
     def __post_init__(self) -> None:

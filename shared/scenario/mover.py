@@ -41,6 +41,7 @@ class BoxMover:
     period_s: float = 0.0  # [s] between repeated starts; 0 for a single start
     start_spread_s: float = 0.0  # [s] maximum random delay, added to start_s
 
+    lengths = "path speed size"
     checks = (*_CHECKS, *config.each("size", lambda v: 0 < v <= _MAX_SIZE_M, f"more than 0 and at most {_MAX_SIZE_M:g} m"))
 
     def __post_init__(self) -> None:
@@ -64,6 +65,7 @@ class LegsMover:
     hips: float = 0.2  # [m] between the legs
     lift: float = 0.08  # [m] of a swinging foot
 
+    lengths = "path speed radius height stride hips lift"
     checks = (
         *_CHECKS,
         *config.each("radius height stride hips", lambda v: 0 < v <= _MAX_SIZE_M, f"more than 0 and at most {_MAX_SIZE_M:g} m"),

@@ -32,6 +32,7 @@ class Relief:
     base: float = 0.0  # [m] height of the level ground
     color: tuple[int, int, int] | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
+    lengths = "x y amplitude wavelength begin blend resolution base"
     checks = (
         *config.each("x y begin blend", lambda one: abs(one) <= 1000, "-1000 to 1000 m"),
         *config.each("amplitude", lambda one: 0 <= one <= 10, "0 to 10 m"),

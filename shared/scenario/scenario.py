@@ -20,7 +20,8 @@ from sextant.shared.files.config import bounded, expect
 from sextant.shared.plugins.loading import Plugins
 from sextant.shared.scenario.mismatch import Deviation, Mismatch
 from sextant.shared.scenario.mover import Mover
-from sextant.shared.scenario.terrain import Terrain
+from sextant.shared.scenario.scale import scale_of, scaled_table, suffix_of
+from sextant.shared.scenario.terrain import HeightMap, Terrain
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.spelling import hint
 from sextant.shared.wire import topics
@@ -43,6 +44,7 @@ class Start:
     xy_spread: tuple[float, float] = (0.0, 0.0)  # [m] of xy
     yaw_spread_deg: float = 0.0  # [deg] of the heading
 
+    lengths = "xy xy_spread"
     checks = (*bounded("xy xy_spread", 1000, "m"), *bounded("yaw_deg yaw_spread_deg", 360, "deg"))
 
     def __post_init__(self) -> None:
@@ -68,6 +70,7 @@ class Goal:
     # if this depends on the seed, unless the scorer is given the result for that seed.
     expect: Literal["arrival", "refusal", "either"] = "arrival"
 
+    lengths = "distance corridor waypoints"
     checks = (
         *bounded("distance corridor", 1000, "m"),
         config.together("waypoints", lambda found: all(max(map(abs, one)) <= 1000 for one in found), "places within 1000 m"),
@@ -94,6 +97,7 @@ class Walk:
     arc: Literal["flow", "sixth_order"] = "flow"  # swing trajectory: Lotriet's, or Erasmus' for reference
     by_touch: bool = False  # True: when the robot stops for lack of a map, it is commanded to continue by touch
 
+    lengths = "speed body_height lift"
     checks = (*bounded("speed", 10, "m/s"), *bounded("body_height lift", 10, "m"))
 
     def __post_init__(self) -> None:
@@ -163,6 +167,7 @@ class MapOptions:
     cells_y: int = 0  # along y; 0 for the same number as along x
     resolution: float = 0.01  # [m] edge of a cell
 
+    lengths = "resolution"
     checks = (*bounded("cells cells_y", 2048, "cells"),)
 
     def __post_init__(self) -> None:
@@ -323,19 +328,38 @@ class Scenario:
             time_limit_s=self.time_limit_s + trouble.extra_time_s,
         )
 
+    def scaled(self, scale: float) -> "Scenario":
+        """Return this course with its lengths and speeds times a scale, which its name then states; itself for a scale of 1.
+
+        Raises:
+            ConfigError: A length is then out of its range, or only a file states it.
+        """
+        if scale == 1.0:
+            return self
+        name = f"{self.name}{suffix_of(scale)}"
+        try:
+            ground = tuple(part.with_scale() if isinstance(part, HeightMap) else part for part in self.terrain)
+        except ValueError as error:
+            raise config.ConfigError(f"scenario {name}", [str(error)]) from None
+        table = scaled_table(replace(self, terrain=ground), scale)
+        return config.build(table | {"name": name}, Scenario, f"scenario {name}")
+
 
 def load_scenario(name_or_path: str) -> Scenario:
     """Read a bundled scenario by name, or another one by the path of its TOML file.
 
-    The name of a trouble may follow: `steps+sun` is the scenario `steps` with the trouble `sun` added.
+    The name of a trouble may follow: `steps+sun` is the scenario `steps` with the trouble `sun` added. So may a scale:
+    `steps+x0.85` has 0.85 of its lengths and speeds.
 
     Raises:
         ConfigError: The scenario does not exist, or is invalid; the text lists all errors.
     """
-    course, plus, trouble = name_or_path.rpartition("+")
-    if plus and course and "/" not in trouble:
-        scenario = load_scenario(course)
-        return scenario.with_trouble(load_trouble(trouble), f"{scenario.name}+{trouble}")
+    course, plus, added = name_or_path.rpartition("+")
+    if plus and course and "/" not in added:
+        scenario, scale = load_scenario(course), scale_of(added)
+        if scale is not None:
+            return scenario.scaled(scale)
+        return scenario.with_trouble(load_trouble(added), f"{scenario.name}+{added}")
     if name_or_path.endswith(".toml"):
         return _with_folder(config.load(Path(name_or_path), Scenario), Path(name_or_path).parent)
     known = scenario_names()
@@ -366,7 +390,8 @@ def load_trouble(name: str) -> Trouble:
     if name not in known:
         near = difflib.get_close_matches(name, known, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise config.ConfigError("trouble", [f"no trouble {name!r}; {hint}known: {', '.join(known)}"])
+        words = f"no trouble {name!r}; {hint}known: {', '.join(known)}; or a scale such as x0.85"
+        raise config.ConfigError("trouble", [words])
     with resources.as_file(resources.files("sextant.shared.scenario.troubles") / f"{name}.toml") as path:
         return config.load(path, Trouble)
 

@@ -2,7 +2,7 @@
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +23,7 @@ class Plane:
     height: float = 0.0  # [m] of the ground
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
+    lengths = "height"
     checks = (*bounded("height", 100, "m"),)
 
 
@@ -44,6 +45,7 @@ class Box:
     size_spread: tuple[float, float] = (0.0, 0.0)  # [m] of its size
     top_spread: float = 0.0  # [m] of its top
 
+    lengths = "xy size top depth xy_spread size_spread top_spread"
     checks = (*bounded("xy size xy_spread size_spread", 1000, "m"), *bounded("top depth top_spread", 100, "m"))
 
     def __post_init__(self) -> None:
@@ -68,6 +70,7 @@ class Hole:
     size_spread: tuple[float, float] = (0.0, 0.0)  # [m] of its size
     color: Color | None = None  # R, G, B from 0 to 255; by default that of the plane
 
+    lengths = "xy size depth xy_spread size_spread"
     checks = (*bounded("xy size xy_spread size_spread", 1000, "m"), *bounded("depth", 100, "m"))
 
     def __post_init__(self) -> None:
@@ -101,6 +104,7 @@ class Stairs:
     tread_spread: float = 0.0  # [m] maximum random offset of the treads, of either sign
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
+    lengths = "xy riser tread width landing base depth riser_spread tread_spread"
     checks = (
         *STEP_COUNT,
         *bounded("xy width landing", 1000, "m"),
@@ -143,6 +147,7 @@ class Pillars:
     tip_mass: float = 0.2  # [kg] of its box
     tip_deg: float = 80.0  # [deg] largest angle of its box; where it has overturned, it stays
 
+    lengths = "xy size top length depth jitter top_spread sinks bears_within tip_height"
     checks = (
         config.together("xy", lambda xy: len(xy) <= 5000, "at most 5000 pillars"),
         config.together("xy", lambda xy: all(max(map(abs, one)) <= 1000 for one in xy), "places within 1000 m"),
@@ -185,6 +190,7 @@ class PillarField:
     depth: float = 0.5  # [m] extent downward from the top
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
+    lengths = "x y size top gap depth"
     checks = (*bounded("x y size gap", 1000, "m"), *bounded("top depth", 100, "m"))
 
     def __post_init__(self) -> None:
@@ -208,6 +214,7 @@ class Slope:
     depth: float = 0.5  # [m] extent below its lower end
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
+    lengths = "xy length width landing base depth"
     checks = (*bounded("xy length width landing", 1000, "m"), *bounded("base depth", 100, "m"))
 
 
@@ -230,6 +237,7 @@ class Rubble:
     base: float = 0.0  # [m] height of the ground under the blocks
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
 
+    lengths = "x y size top gap base"
     checks = (
         *BLOCK_COUNT,
         *bounded("x y size gap", 1000, "m"),
@@ -261,6 +269,7 @@ class HeightMap:
     columns: tuple[int, int] | None = None  # first column and one past the last column of the crop, by default all
     quarter_turns: int = 0  # of the cropped map, counterclockwise as seen from above
 
+    lengths = "resolution xy scale base"
     checks = (
         *config.each("xy", lambda one: one is None or abs(one) <= 1000, "-1000 to 1000 m"),
         *bounded("base", 100, "m"),
@@ -282,6 +291,15 @@ class HeightMap:
     def is_grid_map(self) -> bool:
         """Whether the file is a recording with a grid map."""
         return self.file.lower().endswith(".mcap")
+
+    def with_scale(self) -> "HeightMap":
+        """Return the map with its default scale stated.
+
+        Raises:
+            ValueError: The file states resolution or place, so they are not known here.
+        """
+        expect(self.resolution is not None and self.xy is not None, f"resolution and xy of the map in {self.file}", "none")
+        return self if self.scale is not None or self.file.lower().endswith(".png") else replace(self, scale=1.0)
 
     def path(self, folder: Path) -> Path:
         """Return the path of the file.
@@ -317,6 +335,7 @@ class Puddle:
     depth: float = 0.05  # [m] from the visible surface to the bed
     color: Color = (74, 94, 118)  # R, G, B from 0 to 255 of the surface
 
+    lengths = "xy size depth"
     checks = (*bounded("xy size", 1000, "m"), *bounded("depth", 100, "m"))
 
 
@@ -336,6 +355,7 @@ class Puddles:
     depth: float = 0.05  # [m] from the visible surface to the bed
     color: Color = (74, 94, 118)  # R, G, B from 0 to 255 of the surface
 
+    lengths = "x y size gap depth"
     checks = (*BLOCK_COUNT, *bounded("x y size gap", 1000, "m"), *bounded("depth", 100, "m"))
 
 
@@ -354,6 +374,7 @@ class Patches:
     frictions: tuple[float, ...]  # [1] coefficients of sliding friction, of which each patch has one; elsewhere it is 0.8
     kind: Literal["patches"] = "patches"
 
+    lengths = "x y size"
     checks = (
         *BLOCK_COUNT,
         *bounded("x y size", 1000, "m"),

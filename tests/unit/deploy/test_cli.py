@@ -18,13 +18,14 @@ import pytest
 from benchmarks.cli import benchmarks
 from sextant.deploy import cli
 from sextant.deploy.commands.common import out_folder
+from sextant.deploy.commands.options import Variant
 from sextant.deploy.launch.process_table import Command
 from sextant.deploy.terminal.arguments import parse
 from sextant.deploy.terminal.run_command import run_command
 from sextant.evaluation.lockstep import lockstep_run
 from sextant.evaluation.report import Report, write
-from sextant.evaluation.trials import environment, trials
-from sextant.shared.scenario.scenario import Scenario, Walk
+from sextant.evaluation.trials import environment, results_store, trials
+from sextant.shared.scenario.scenario import Scenario, Walk, load_scenario
 from sextant.shared.wire.codec import schema_id
 from sextant.shared.wire.messages import ActuatorState, GaitName, Mode, schema
 from sextant.shared.wire.topics import TOPICS
@@ -564,6 +565,37 @@ def test_robot_and_walk_options_override_scenario(
     assert "auto, or a speed from 0.001 to 10 m/s expected, found 'fast'" in capsys.readouterr().err
     assert cli.main([*words, "--robot", "nobody", "--out", str(tmp_path / "nobody")]) == 2
     assert "no profile 'nobody'" in capsys.readouterr().err
+
+
+def test_course_is_scaled_to_the_robot_and_named_by_its_scale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from sextant.evaluation.lockstep import lockstep_run
+
+    walked: list[Scenario] = []
+
+    def run(scenario: Scenario, seed: int) -> Report:
+        walked.append(scenario)
+        return replace(report(True, seed), scenario=scenario.name, robot=scenario.robot)
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", run)
+    for robot in ("phantomx_mk2", "lotriet_rx64"):
+        words = ["trials", "flat", "--scaled", "--robot", robot, "--seeds", "0:1"]
+        assert cli.main([*words, "--out", str(tmp_path / robot)]) == 0
+    own, larger = walked
+    assert own == load_scenario("flat")
+    assert larger == replace(load_scenario("flat+x1.11"), robot="lotriet_rx64")
+    assert larger.goal.distance == pytest.approx(1.11 * own.goal.distance)
+    names = {run.scenario for run in results_store.read(tmp_path / "lotriet_rx64" / "trials.jsonl")}
+    assert names == {"flat+x1.11"}
+
+
+def test_simulator_of_a_live_run_loads_the_scaled_course(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\n[goal]\ndistance = 1.0\n[[terrain]]\nkind = "plane"\n')
+    variant = Variant(robot="lotriet_rx64", scaled=True)
+    for scenario in ("steps", "steps+usual", str(tmp_path / "mine.toml")):
+        course = variant.load(scenario)
+        source = variant.source(scenario, course.robot)
+        assert source == f"{scenario}+x1.11"
+        assert replace(load_scenario(source), robot=course.robot) == course
 
 
 def test_gait_option_accepts_exactly_the_known_gaits() -> None:

@@ -177,6 +177,9 @@ MISTAKES = [
     ("run flat.tmol --lockstep", "no scenario 'flat.tmol'; did you mean 'flat'?"),
     ("run nowhere.toml --lockstep", "nowhere.toml: no such file"),
     ("run flat --lockstep --robot fantomx_mk2", "no profile 'fantomx_mk2'; did you mean 'phantomx_mk2'?"),
+    ("run steps+x0 --lockstep", "a scale from x0.1 to x10 expected, found 'x0'"),
+    ("run steps+half --lockstep", "no trouble 'half'; known: harsh, legs, mild, sparse, sun, usual; or a scale such as x0.85"),
+    ("run flat --lockstep --scaled 0.5", "unexpected extra argument (0.5)"),
     ("service compose --scenario rubbel", "did you mean 'rubble'?"),
     # Files.
     ("run typo.toml --lockstep", "goal.distanse: unknown key; did you mean 'distance'?"),
