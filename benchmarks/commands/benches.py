@@ -467,17 +467,16 @@ def bench_bus(questions: int, only: str, seed: int, out: str | None, as_json: bo
 
 @benchmarks.command("checksums")
 @options.count("--answers", 20_000, "least number of answers of each servo, spoilt in each way")
-@option("--servo", "servo model; repeatable (default: one of each control table)", "MODEL", multiple=True)
+@option("--servo", "servo model, or another row of the table; repeatable (default: all rows)", "MODEL", multiple=True)
 @options.count("--seed", 0, "random seed", lowest=0)
 @options.out
 @options.as_json
 def bench_checksums(answers: int, servo: tuple[str, ...], seed: int, out: str | None, as_json: bool) -> int:
     """Spoil answers of each servo family; compare the accepted ones with the checksum's odds."""
-    from benchmarks.robot import checksums
-    from sextant.shared.servo.models import MODEL_NAMED
+    from benchmarks.robot import checksum_rigs, checksums
 
-    if wrong := [name for name in servo if name not in MODEL_NAMED]:
-        raise InputError(f"--servo {wrong[0]!r}: one of these models expected: {', '.join(MODEL_NAMED)}")
+    if wrong := [name for name in servo if name not in checksum_rigs.RIGS]:
+        raise InputError(f"--servo {wrong[0]!r}: one of these expected: {'; '.join(checksum_rigs.RIGS)}")
     folder = out_folder(out, "bench-checksums")
     found = checksums.measure(answers, seed, servo, open_progress(as_json).say)
     _tell_bench(checksums.in_words(found), checksums.to_json(found), folder / "checksums.json", as_json)

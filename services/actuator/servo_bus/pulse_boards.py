@@ -94,12 +94,12 @@ class Pca9685:
         """Wake boards that sleep, without pulses; one that sends pulses must have the right rate."""
         for number in dict.fromkeys(channel // pca9685.CHANNELS for channel in channels):
             address = self._address + number
-            mode, scale = self._read(address, pca9685.MODE1, 1), self._read(address, pca9685.PRE_SCALE, 1)
+            mode, scale = self._mode(address), self._read(address, pca9685.PRE_SCALE, 1)
             if mode is None or scale is None:
                 return f"no PCA9685 answers at address 0x{address:02x}; check its cable, or `i2cdetect`"
-            if not mode[0] & pca9685.SLEEP and scale[0] == self._scale:
+            if not mode & pca9685.SLEEP and scale[0] == self._scale:
                 continue
-            if not mode[0] & pca9685.SLEEP and any(
+            if not mode & pca9685.SLEEP and any(
                 self.width_us(channel) for channel in channels if channel // pca9685.CHANNELS == number
             ):
                 return f"the PCA9685 at address 0x{address:02x} sends pulses at another rate; `sextant servos off` first"
@@ -135,11 +135,18 @@ class Pca9685:
     def width_us(self, channel: int) -> float | None:
         """Read mode and registers of a channel; a board that sleeps sends no pulses."""
         address = self._address + channel // pca9685.CHANNELS
-        mode = self._read(address, pca9685.MODE1, 1)
+        mode = self._mode(address)
         registers = None if mode is None else self._read(address, _register_of(channel), 4)
         if mode is None or registers is None:
             return None
-        return 0.0 if mode[0] & pca9685.SLEEP else pca9685.pulse_count(registers) * self._count_us
+        return 0.0 if mode & pca9685.SLEEP else pca9685.pulse_count(registers) * self._count_us
+
+    def _mode(self, address: int) -> int | None:
+        """Read MODE1; twice from a board that seems to sleep, because an answer has no checksum. None if it is not clear."""
+        mode = self._read(address, pca9685.MODE1, 1)
+        if mode is None or not mode[0] & pca9685.SLEEP:
+            return None if mode is None else mode[0]
+        return mode[0] if self._read(address, pca9685.MODE1, 1) == mode else None
 
     def _write(self, address: int, register: int, data: Sequence[int]) -> None:
         self._transfer(pca9685.write(address, register, data))

@@ -293,9 +293,9 @@ class PwmServos:
         """Ask for the pulses [us] of a channel, and note whether the board answers."""
         self.between()
         asked_ns = self._clock()
-        width_us = self._board.width_us(channel)
         ordered_us = self._ordered_us.get(channel)
-        if width_us and ordered_us is not None and abs(width_us - ordered_us) > _SAME_US:
+        width_us = self._board.width_us(channel) if ordered_us else self._confirmed_us(channel)
+        if width_us and ordered_us and abs(width_us - ordered_us) > _SAME_US:
             self.lost[_OTHER] += 1
             width_us = None
         if width_us is None:
@@ -303,6 +303,17 @@ class PwmServos:
         else:
             self._answered_ns, self._unanswered = asked_ns, 0
         return width_us
+
+    def _confirmed_us(self, channel: int) -> float | None:
+        """Ask for the pulses [us] of a channel to which none were ordered. Two answers must agree: they have no checksum."""
+        found: list[float | None] = []
+        for _ in range(1 + _REPEATS):
+            width_us = self._board.width_us(channel)
+            if width_us is not None and width_us in found:
+                return width_us
+            found.append(width_us)
+        self.lost[_OTHER] += len(set(found) - {None}) > 1
+        return None
 
 
 def _nothing() -> None:

@@ -9,7 +9,18 @@ import pytest
 from benchmarks.access import access
 from benchmarks.peers import kept, servo_packets
 from benchmarks.peers.timing import Spread
-from benchmarks.robot import actuator_cycle, calibration, checksums, naming, recording, servo_bus, size, slow_core, start
+from benchmarks.robot import (
+    actuator_cycle,
+    calibration,
+    checksums,
+    naming,
+    recording,
+    servo_bus,
+    size,
+    slow_core,
+    spoilt_answers,
+    start,
+)
 from sextant.shared.files.config import ConfigError
 
 SPREAD = Spread(1.5, 1.4, 1.75)
@@ -22,7 +33,10 @@ RESULTS: dict[str, tuple[Any, Any]] = {
             calibration.Calibration("flat+harsh", 8, "one slope | is another", {}, {}, 0),
         ],
     ),
-    "checksums": (checksums, [checksums.Found("AX-12A", way, 100, 25, 2, odds, 90) for way, odds in (("a", 0.5), ("b", None))]),
+    "checksums": (
+        checksums,
+        [spoilt_answers.Found("AX-12A", way, 100, 25, 2, odds, odds, 90) for way, odds in (("a", 0.5), ("b", None))],
+    ),
     "cycle": (
         actuator_cycle,
         [actuator_cycle.CycleTime(kind, 60, 1.1, 1.6, 1.2, 0.06, 8.5) for kind in ("standing", "walking")],

@@ -211,3 +211,31 @@ def test_setup_says_which_board_does_not_answer() -> None:
     with pytest.raises(BusSetupError, match="no PCA9685 answers at address 0x41"):
         rig.servos.setup()
     assert math.isfinite(rig.servos.newest_age_s) is False
+
+
+@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("torque", [True, False])
+@pytest.mark.parametrize("spoilt", range(8))
+def test_one_broken_answer_is_not_believed_at_opening(board: Board, torque: bool, spoilt: int) -> None:
+    """Answers have no checksum: pulses that were not ordered count once two answers agree."""
+    rig, count = Rig(board, torque), 0
+    read = rig.port.read
+
+    def broken(size: int = 1) -> bytes:
+        nonlocal count
+        count += 1
+        data = read(size)
+        return data[:-1] + bytes((data[-1] ^ 0x10,)) if count == spoilt + 1 else data
+
+    rig.port.read = broken  # type: ignore[method-assign]
+    try:
+        rig.servos.setup()
+    except BusSetupError:
+        assert spoilt < 4, "the board itself is not recognised, or its rate"
+        return
+    rig.port.read = read  # type: ignore[method-assign]
+    for channel in range(3):
+        assert rig.servos.read(channel, TABLE.torque_enable) == torque
+        assert abs(rig.servos.read(channel, TABLE.goal_position) - (CENTRE + 100 if torque else CENTRE)) <= 10
+    rig.cycle(count=3)
+    assert rig.torque == [int(torque)] * 18
