@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import date
+from functools import partial
 from itertools import groupby
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
     from sextant.services.actuator.servo_bus.servo_interface import Servos
     from sextant.services.actuator.servo_bus.several_buses import AnyBus
+    from sextant.services.actuator.servo_bus.triage import Opener
     from sextant.shared.robot.profile import Calibration, RobotProfile
     from sextant.shared.servo.servo_model import ServoModel
 
@@ -265,6 +267,7 @@ def set_id(bus: Bus) -> int:
     It can be interrupted and resumed.
     """
     from sextant.services.actuator.commissioning import set_ids
+    from sextant.services.actuator.servo_bus import triage
 
     profile = _profile(bus.robot)
     if profile.servo.pulses is not None:
@@ -273,7 +276,10 @@ def set_id(bus: Bus) -> int:
         if name:
             say(f"bus {name}, {one_bus.port}:")
         with _line(one_bus, servos_on_it) as line:
-            if not set_ids.set_ids(line, servos_on_it, Terminal()):
+            foreign = partial(
+                triage.other_family, _opener(one_bus, servos_on_it), servos_on_it.servo_model, servos_on_it.servo_names
+            )
+            if not set_ids.set_ids(line, servos_on_it, Terminal(), foreign):
                 return FAILED
     return SUCCESS
 
@@ -462,9 +468,16 @@ def _triage(bus: Bus, profile: "RobotProfile", rates: Sequence[int], ids: range)
     """Return why no servo of the robot answers on the port, or None."""
     from sextant.services.actuator.servo_bus import triage
 
-    opener = triage.Opener(lambda rate, model: _open(bus, profile, rate, model), bus.port, not bus.networked)
+    opener = _opener(bus, profile)
     asked = [i for i in profile.servo_names if i in ids] or list(ids)
     return triage.examine(opener, profile.servo_model, asked, rates)
+
+
+def _opener(bus: Bus, profile: "RobotProfile") -> "Opener":
+    """Return what opens the port for servos of several families."""
+    from sextant.services.actuator.servo_bus.triage import Opener
+
+    return Opener(lambda rate, model: _open(bus, profile, rate, model), bus.port, not bus.networked)
 
 
 def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "ServoModel | None" = None) -> "ServoBus":

@@ -96,7 +96,7 @@ def out_of_reach(port: str) -> Check | None:
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that all of the robot's servos respond, and their state."""
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, open_port
-    from sextant.services.actuator.servo_bus.bus_scan import ECHO, problems
+    from sextant.services.actuator.servo_bus.bus_scan import ALSO_ASKS, ECHO, problems
 
     if profile.servo.pulses is not None:
         yield from board(port, profile)
@@ -115,10 +115,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     if echo:
         yield Check(name, Level.WARN, *ECHO)
     if not seen:
-        advice = (
-            "check the servos' power and the cable at the adapter; "
-            "`sextant servos scan` also tries other baud rates and protocols"
-        )
+        advice = f"check the servos' power and the cable at the adapter; {ALSO_ASKS}"
         yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
         return
     wrong = problems(names, seen)

@@ -26,12 +26,20 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     wake,
     wrong_settings,
 )
+from sextant.services.actuator.servo_bus.triage import OTHER_ROBOT
+from sextant.shared.errors import SextantError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import ServoModel
 
 _LEAVE = "q"
 _NO_ANSWER_ADVICE = "check their power and the cable at the adapter; a bridge does not pass scans on, see docs/bridge.md"
 _UNLESS_MEANT = f"if this is not intended, {SET_ID} and type its leg and joint to restore safe values"
+
+
+class OtherServosError(SextantError):
+    """The servos on the bus are not those of the robot."""
+
+    exit_status = 1
 
 
 class Operator(Protocol):
@@ -227,12 +235,23 @@ def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
 # -------------------------------------------------------------------------------------------------------------- set-id
 
 
-def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
+def set_ids(
+    line: Line, profile: RobotProfile, operator: Operator, other_family: Callable[[], Problem | None] = lambda: None
+) -> bool:
     """Give every servo the id of its joint; return whether all have one at the end.
 
     Servos are plugged in one after the other, each alone or behind finished ones. The operator can stop at any question and
     continue later: servos with their ids are found, and so are those that were interrupted during setup. The joint with the
     factory id, if there is one, comes last, because new servos have that id too.
+
+    Args:
+        line: The port.
+        profile: The robot.
+        operator: Plugs in the servos.
+        other_family: Returns that a servo answers in another protocol, see `triage.other_family`; the line is closed meanwhile.
+
+    Raises:
+        OtherServosError: The first servo is not one of the robot's.
     """
     if echo := line.at(line.rates[0]).echo_problem():
         operator.say(": ".join(echo))
@@ -253,8 +272,15 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
         target = _by_name(profile)[words] if words else missing[0]
         before = {one.seen.servo_id for one in found}
         found = _likely(line, profile, done | {target})
+        if not found:
+            line.close()
+            if foreign := other_family():
+                _refuse(*foreign, operator, is_first=not done)
+                continue
         new = _new_one(line, before, found, profile, operator, named_by_hand=bool(words))
-        if new is None or not _may_change(new, target, before, found, profile, operator):
+        if new is None or not _is_model_of(new, target, profile, operator, is_first=not done):
+            continue
+        if not _may_change(new, target, before, found, profile, operator):
             continue
         if given := _give(line, new, target, profile, operator):
             done = (done - {new.seen.servo_id}) | {target}
@@ -264,6 +290,26 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
 def _likely(line: Line, profile: RobotProfile, done: Collection[int] = ()) -> list[Found]:
     """Scan the ids of new servos and of the robot."""
     return scan(line, sorted({FACTORY_ID, *profile.servo_names}), known={FACTORY_ID, *done})
+
+
+def _is_model_of(new: Found, target: int, profile: RobotProfile, operator: Operator, *, is_first: bool) -> bool:
+    """Return whether a servo may be of the model of a joint; otherwise tell the operator, or raise OtherServosError."""
+    seen, wanted = new.seen, profile.servo_models[target]
+    if seen.response is not BusResponse.CLEAR or seen.number == wanted.number:
+        return True
+    words = f"servo {seen.servo_id} is {seen.model}, {wanted.name} expected for the {profile.servo_names[target]}"
+    if any(seen.number == model.number for model in profile.servo_models.values()):
+        operator.say(f"{words}: it is unchanged; plug in another one, or type the leg and joint of this one")
+    else:
+        _refuse(words, OTHER_ROBOT, operator, is_first=is_first)
+    return False
+
+
+def _refuse(words: str, advice: str, operator: Operator, *, is_first: bool) -> None:
+    """Tell the operator that a servo is not the robot's; raise OtherServosError if it is the first one."""
+    if is_first:
+        raise OtherServosError(f"{words}: it is unchanged\n  -> {advice}")
+    operator.say(f"{words}: it is unchanged; plug in another one")
 
 
 def _collide(found: Sequence[Found], operator: Operator) -> bool:
@@ -319,7 +365,8 @@ def _ask_joint(proposed: int, profile: RobotProfile, operator: Operator) -> str:
     known, name = _by_name(profile), profile.servo_names[proposed]
     while True:
         answer = operator.ask(
-            f"Plug in the servo of the {name} (future id {proposed}), and press Enter; "
+            f"Plug in the {profile.servo_models[proposed].name} of the {name} of {profile.name} (future id {proposed}), "
+            f"and press Enter; "
             f"or type another leg and joint, or {_LEAVE} to stop: "
         )
         words = " ".join(answer.lower().split())
@@ -409,9 +456,9 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
     seen = (wake(bus, old) if one.seen.response is BusResponse.MUTE else None) or one.seen
     wanted = profile.servo_models[target]
     if seen.response is not BusResponse.CLEAR or seen.number != wanted.number:
-        what = f"it is an {seen.model}" if seen.response is BusResponse.CLEAR else f"it {seen.response.value}"
-        instead = "plug in another one" if seen.response is BusResponse.CLEAR else "try again"
-        operator.say(f"an {wanted.name} expected, but {what}: the servo is unchanged; {instead}")
+        is_other = seen.response is BusResponse.CLEAR  # found by waking it
+        what = f"is {seen.model}, {wanted.name} expected" if is_other else seen.response.value
+        operator.say(f"servo {old} {what}: it is unchanged; {'plug in another one' if is_other else 'try again'}")
         return None
     table = wanted.table
     if table.lock and seen[table.lock] and not wanted.unlocks:

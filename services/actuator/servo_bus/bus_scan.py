@@ -106,6 +106,7 @@ class BusResponse(StrEnum):
 
 _LOCKED = "its EEPROM may be locked until its power is cycled"
 SET_ID = "run `sextant servos set-id` with this servo alone on the bus"
+ALSO_ASKS = "`sextant servos scan` also tries other baud rates and protocols"
 _PROTECTION = int(ServoError.OVERLOAD | ServoError.OVERHEATING)
 _REMEDIES = {
     BusResponse.DOUBLED: f"unplug one of the two, and give the other another id: {SET_ID}",
@@ -327,6 +328,8 @@ def unreachable(missing: Collection[int], names: Mapping[int, str]) -> dict[int,
         which = f"the {whole[0]} leg" if len(whole) == 1 else f"{len(whole)} legs ({', '.join(whole)})"
         words = f"none of the {len(silent)} servos of {which} answers (ids {', '.join(map(str, silent))})"
         place = "the cable before its coxa" if len(whole) == 1 else "the power and the cable or hub that they share"
+        if len(silent) == len(names):
+            words, place = f"none of the {len(silent)} servos answers", f"the power and the cable at the adapter; {ALSO_ASKS}"
         found |= dict.fromkeys(silent, Problem(words, f"check {place}"))
     return found
 

@@ -11,6 +11,7 @@ from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, re
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
+OTHER_ROBOT = "give --robot your_robot.toml, a profile with these servos; `sextant robot new` makes one"
 _FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
 _RATE_TOLERANCE = 0.03  # [1] relative difference of two rates up to which bytes are received correctly
 
@@ -63,15 +64,25 @@ def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequen
         with closing(opener.open(rate, model)) as bus:
             if any(not bus.ping_responses(i).silent for i in asked):
                 return None
-    with closing(opener.open(rates[0], model)) as bus:
+    return other_family(opener, model, asked) or _silence(opener, model, rates)
+
+
+def other_family(opener: Opener, model: ServoModel, ids: Iterable[int]) -> Problem | None:
+    """Return that a servo answers at one of these ids, or at that of new servos, in another protocol than a model; else None.
+
+    Raises:
+        NotAServoBusError: Another device sends on the port.
+    """
+    asked = tuple(dict.fromkeys((FACTORY_ID, *ids)))
+    with closing(opener.open(model.bus_rate, model)) as bus:
         refuse_another_device(bus)
     for other in _other_families(model):
-        for rate in usual_rates(other) if opener.has_rates else rates[:1]:
+        for rate in usual_rates(other) if opener.has_rates else (other.bus_rate,):
             with closing(opener.open(rate, other)) as bus:
                 first = next((i for i in asked if i <= other.protocol.MAX_ID and bus.ping(i) is not None), None)
                 if first is not None:
                     return _of_other_family(bus, first, rate, model)
-    return _silence(opener, model, rates)
+    return None
 
 
 def _other_families(model: ServoModel) -> tuple[ServoModel, ...]:
@@ -91,7 +102,7 @@ def _of_other_family(bus: ServoBus, servo_id: int, rate: int, model: ServoModel)
     unknown = f"a servo of model {next(iter(numbers.values()))}" if numbers else " or ".join(one.name for one in alike)
     name = next((one.name for one in tell if numbers[one.table.model_number] == one.number), unknown)
     words = f"servo {servo_id} is {name} ({bus.model.protocol.NAME}) at {rate} baud, {model.name} expected"
-    return Problem(words, f"give the profile of this robot with --robot; in a profile of yours, set servo.model to {name}")
+    return Problem(words, OTHER_ROBOT)
 
 
 def _silence(opener: Opener, model: ServoModel, rates: Sequence[int]) -> Problem:

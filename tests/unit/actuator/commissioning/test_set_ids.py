@@ -5,21 +5,24 @@ The tests cover the scan, naming and set-up of servos, and the refusals.
 
 import re
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
 
 from sextant.services.actuator.commissioning import set_ids
-from sextant.services.actuator.commissioning.set_ids import Line
+from sextant.services.actuator.commissioning.set_ids import Line, OtherServosError
 from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus
-from sextant.services.actuator.servo_bus.triage import usual_rates
+from sextant.services.actuator.servo_bus.command_bus import bus_of
+from sextant.services.actuator.servo_bus.triage import Opener, other_family, usual_rates
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.servo_model import Register, ServoError
+from sextant.shared.servo.servo_model import Register, ServoError, ServoModel
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
+from tests.support.families import robot_with
 
 RX = load_profile("lotriet_rx64")
 SET = (dxl.RETURN_DELAY, 0), (dxl.STATUS_RETURN_LEVEL, 2), (dxl.BAUD_RATE, 1)
@@ -204,13 +207,37 @@ def test_two_new_servos_at_once_are_refused_unchanged() -> None:
     assert desk.tables[1, dxl.RETURN_DELAY.address] == 250
 
 
-def test_a_servo_of_another_model_is_refused() -> None:
+def test_first_servo_of_another_model_means_another_robot() -> None:
     desk = Desk(fresh=True)
     desk.tables[0, dxl.MODEL_NUMBER.address] = 64
-    builder = Builder([plug(desk), "q"])
-    assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
-    assert "an AX-12A expected, but it is an RX-64: the servo is unchanged" in builder.all_told
+    words = "servo 1 is RX-64, AX-12A expected for the left front femur: it is unchanged\n  -> give --robot your_robot.toml"
+    with pytest.raises(OtherServosError, match=re.escape(words)):
+        set_ids.set_ids(line(desk), PHANTOMX, builder := Builder([plug(desk)]))
+    assert builder.asked[0].startswith("Plug in the AX-12A of the left front femur of phantomx_mk2 (future id 3), ")
     assert ids(desk) == [1] * 18
+
+
+def test_later_servo_of_another_model_is_refused() -> None:
+    desk = Desk(fresh=True)
+    desk.tables[1, dxl.MODEL_NUMBER.address] = 64
+    builder = Builder([plug(desk), plug(desk), "q"])
+    assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert "it is unchanged; plug in another one" in builder.all_told
+    assert ids(desk) == [3] + [1] * 17
+
+
+@pytest.mark.parametrize("there", ["XL430-W250", "STS3215", "LX-16A"])
+def test_first_servo_of_another_family_means_another_robot(there: str) -> None:
+    desk = Desk(robot_with(there), fresh=True)
+    model = PHANTOMX.servo_model
+
+    def at(rate: int, asked: ServoModel = model) -> ServoBus:
+        return bus_of(asked)(desk.open(rate), list(PHANTOMX.servo_names), desk.clock, names=PHANTOMX.servo_names, model=asked)
+
+    foreign = partial(other_family, Opener(at, "/dev/ttyUSB0", has_rates=True), model, PHANTOMX.servo_names)
+    with pytest.raises(OtherServosError, match=rf"servo 1 is {there}.*, AX-12A expected.*\n  -> give --robot your_robot.toml"):
+        set_ids.set_ids(Line(at, usual_rates(model)), PHANTOMX, builder := Builder([plug(desk)]), foreign)
+    assert "searching" not in builder.all_told
 
 
 def test_used_servo_with_any_id_can_be_assigned_to_named_joint() -> None:
@@ -349,7 +376,7 @@ def test_intermittent_servo_is_unchanged_and_retry_is_advised(level: int, monkey
 
     monkeypatch.setattr(desk.bench, "receive", loose)
     set_ids.set_ids(line(desk), PHANTOMX, builder := Builder([plug(desk), "q"]))
-    assert "the servo is unchanged; try again" in builder.all_told
+    assert ": it is unchanged; try again" in builder.all_told
     assert "plug in another" not in builder.all_told
 
 

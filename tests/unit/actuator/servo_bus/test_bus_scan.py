@@ -62,6 +62,14 @@ def test_one_fault_of_a_chain_is_one_problem_with_its_place(silent: tuple[int, .
     assert setup_error(desk).startswith(f"{len(silent)} of 18 servos are not ready")
 
 
+def test_silent_robot_is_one_problem_that_points_to_other_servos() -> None:
+    desk = Desk()
+    desk.bench.unplug(range(18))
+    (problem,) = set(bus_scan.problems(NAMES, bus_scan.call(desk.bus(), NAMES)).values())
+    assert problem.words == "none of the 18 servos answers"
+    assert "`sextant servos scan` also tries other baud rates and protocols" in problem.advice
+
+
 def test_two_faults_of_a_leg_are_two_problems() -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(i) for i in (7, 11)])
