@@ -11,6 +11,7 @@ import numpy as np
 
 from sextant.evaluation.robot_check.gait_cycle import GaitCycle, standing_torques, walk_cycle
 from sextant.evaluation.robot_check.ground_limits import GroundLimit, find_ground_limits
+from sextant.evaluation.robot_check.likely_mistakes import doubtful_numbers, misplaced_legs
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.services.planner.locomotion.step_planner import SHARES
 from sextant.shared.geometry import Array
@@ -80,6 +81,7 @@ def check_robot(profile: RobotProfile) -> RobotCheck:
     loads += [_walking(profile, gait, height, cycle) for (gait, height), cycle in cycles.items()]
     tripod = cycles["tripod", profile.stance.body_height]
     limits = (
+        *_mistakes(profile),
         *_reach(profile),
         *_joints(profile, tripod),
         *_torque(profile, loads),
@@ -122,6 +124,20 @@ def _three(values: Array) -> tuple[float, float, float]:
 
 
 # ------------------------------------------------------------------------------------------------------------- limits
+
+
+def _mistakes(profile: RobotProfile) -> Iterator[Limit]:
+    found = {
+        "numbers": [f"{doubt.key} is {doubt.sentence}" for doubt in doubtful_numbers(profile)],
+        "legs": misplaced_legs(profile),
+    }
+    likely = {
+        "numbers": "all numbers are likely in their units",
+        "legs": "each leg is on the side of its name and points outward",
+    }
+    for name, sentences in found.items():
+        for sentence in sentences or [likely[name]]:
+            yield Limit(name, float(len(sentences)), 0.0, "mistakes", not sentences, sentence)
 
 
 def _reach(profile: RobotProfile) -> Iterator[Limit]:
@@ -178,7 +194,10 @@ def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
         f"{servo.nominal_stiffness:.3g} N m/rad; "
         "a wrong one makes the body sag"
     )
-    yield Limit("stiffness", ratio, 1.0, "of the model's", abs(ratio - 1.0) <= _STIFFNESS_SHARE, words)
+    judged = not any(doubt.key.endswith("stall_torque") for doubt in doubtful_numbers(profile))
+    if not judged:
+        words = "servo.stiffness is not judged before the stall torque is right, on which it depends"
+    yield Limit("stiffness", ratio, 1.0, "of the model's", not judged or abs(ratio - 1.0) <= _STIFFNESS_SHARE, words)
 
 
 def _heat(profile: RobotProfile, load: Load) -> Limit:
