@@ -487,7 +487,8 @@ def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "Se
         BusDisconnectedError: The port cannot be opened.
     """
     model = model or profile.servo_model
-    models = profile.servo_models if model.table is profile.servo_model.table else None  # else it asks for another family
+    alike = model.table.of_bus == profile.servo_model.table.of_bus
+    models = profile.servo_models if alike else None  # else it asks for another family
     return _open_ids(bus, profile.servo_names, model, rate or model.bus_rate, models)
 
 

@@ -142,8 +142,8 @@ class Simulator:
         for row, (angle, one) in enumerate(zip(servo, profile.servos.each, strict=True)):
             model, table = one.servo_model, one.servo_model.table
             configured = {
-                **one.controller_settings,
                 **(model.joint_settings if model.eeprom_needs_torque_off else {}),  # else the actuator writes them
+                **one.controller_settings,  # behind the operating mode, which resets the gains
                 table.baud_rate: model.rate_code(model.bus_rate),
                 table.goal_position: model.units.ticks(angle),
                 table.torque_enable: 1,

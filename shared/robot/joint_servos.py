@@ -193,7 +193,7 @@ def wrong_buses(servo: Servo, groups: tuple[ServoGroup, ...], buses: tuple[BusJo
     rows = [(f"buses[{k}]", _all_selected(getattr(bus, "joints", ()))) for k, bus in enumerate(buses)]
     for place, on_bus in rows or [("servo_groups", tuple(range(_N)))]:
         known = {model.name: model for index in on_bus if (model := models[index]) is not None}
-        families = {(id(model.table), model.protocol.NAME, model.bus_rate) for model in known.values()}
+        families = {(model.table.of_bus, model.protocol.NAME, model.bus_rate) for model in known.values()}
         if len(families) > 1:
             expected = "servos with the same registers and baud rate on one bus"
             yield config.Misfit(place, expected, f"{' and '.join(known)}; give each of them a bus in [[buses]]")

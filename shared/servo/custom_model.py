@@ -131,6 +131,8 @@ def custom_model(name: str, numbers: ModelNumbers) -> ServoModel:
         load=numbers.load or base.units.load,
         volt=numbers.volt or base.units.volt,
     )
+    if base.limits_current:  # a current like the load
+        units = replace(units, torque=units.load)
     table = _with_positions(base.table, positions) if numbers.positions else base.table
     table = _with_registers(table, numbers.registers)
     stated = {getattr(base.table, one.role).name for one in numbers.registers if one.default != _AS_LIKE}
@@ -144,6 +146,7 @@ def custom_model(name: str, numbers: ModelNumbers) -> ServoModel:
         units=units,
         no_load_rpm=numbers.no_load_rpm,
         overrides=MappingProxyType({key: value for key, value in base.overrides.items() if key not in stated}),
+        gain_stiffness=base.gain_stiffness * (units.torque / base.units.torque),
     )
     gain = table.position_gain
     if numbers.full_torque_deg and gain is not None:

@@ -76,11 +76,12 @@ def _mx(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoMo
 
 AX_12A = _ax("AX-12A", 12, 59.0)
 AX_18A = _ax("AX-18A", 18, 97.0, temperature_limit=75, max_torque=983)
-AX_12W = _ax("AX-12W", 300, 54.0)
+_WIDE = {"cw_compliance_margin": 4, "ccw_compliance_margin": 4, "cw_compliance_slope": 64, "ccw_compliance_slope": 64}
+AX_12W = _ax("AX-12W", 300, 54.0, **_WIDE)
 RX_64 = _ax("RX-64", 64, 64.0, baud_rate=34, temperature_limit=80, max_voltage=190)
-RX_28 = _ax("RX-28", 28, 85.0, baud_rate=34, temperature_limit=80, max_voltage=160)
+RX_28 = _ax("RX-28", 28, 85.0, baud_rate=34, temperature_limit=80, max_voltage=190)
 MX_28 = _mx("MX-28", 29, 67.0, max_voltage=160)
-MX_64 = _mx("MX-64", 310, 78.0, max_voltage=240)
+MX_64 = _mx("MX-64", 310, 78.0, max_voltage=240, punch=0)
 
 STS3215 = ServoModel(
     "STS3215",
@@ -102,8 +103,8 @@ STS3215 = ServoModel(
 )
 
 
-def _x(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0, **overrides: int) -> ServoModel:
-    """Return a model of the X series; with a stall current [A] if it measures its current instead of its load."""
+def _x(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoModel:
+    """Return a model of the X series."""
     # The PWM is P / 128 per tick of position error.
     units = x_series.UNITS
     return ServoModel(
@@ -111,7 +112,7 @@ def _x(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0, *
         number,
         dynamixel2,
         x_series.TABLE,
-        replace(units, load=x_series.CURRENT_A / stall_current) if stall_current else units,
+        units,
         MappingProxyType(x_series.RATES),
         MappingProxyType(x_series.SETTINGS),
         no_load_rpm,
@@ -125,11 +126,26 @@ def _x(name: str, number: int, no_load_rpm: float, stall_current: float = 0.0, *
     )
 
 
+def _xm(name: str, number: int, no_load_rpm: float, stall_current: float, **overrides: int) -> ServoModel:
+    """Return a model of the X series that measures and limits its current, with its stall current [A]."""
+    base, unit = _x(name, number, no_load_rpm, **overrides), x_series.CURRENT_A / stall_current
+    return replace(
+        base,
+        table=x_series.CURRENT_TABLE,
+        units=replace(base.units, load=unit, torque=unit),
+        settings=MappingProxyType(x_series.CURRENT_SETTINGS),
+        # The current is P / 128 per tick of position error, by assumption in ticks of the goal current.
+        gain_stiffness=unit / (128.0 * base.units.tick_rad),
+        limits_current=True,
+    )
+
+
 XL430_W250 = _x("XL430-W250", 1060, 61.0, position_p_gain=640, position_d_gain=4000)
 XC430_W150 = _x("XC430-W150", 1070, 106.0, temperature_limit=80, max_voltage=160, position_p_gain=460, velocity_limit=460)
 XC430_W240 = _x("XC430-W240", 1080, 70.0, temperature_limit=80, max_voltage=160, position_p_gain=700, velocity_limit=306)
-XM430_W350 = _x("XM430-W350", 1020, 57.0, 2.3, temperature_limit=80, max_voltage=160, min_voltage=95, velocity_limit=200)
-XM540_W270 = _x("XM540-W270", 1120, 37.0, 4.4, temperature_limit=80, max_voltage=160, min_voltage=95, velocity_limit=128)
+_XM = {"temperature_limit": 80, "max_voltage": 160, "min_voltage": 95}
+XM430_W350 = _xm("XM430-W350", 1020, 57.0, 2.3, **_XM, velocity_limit=200)
+XM540_W270 = _xm("XM540-W270", 1120, 37.0, 4.4, **_XM, velocity_limit=128, current_limit=2047, goal_current=2047)
 XL_320 = ServoModel(
     "XL-320",
     350,

@@ -7,7 +7,7 @@ import math
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum, Flag, IntFlag, StrEnum, auto
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -293,6 +293,7 @@ class ControlTable:
     unlocked: range = range(0)  # addresses that the host may write in spite of the lock
     lock: Register | None = None  # 1 protects the EEPROM
     hardware_error: Register | None = None  # errors that an answer does not carry
+    operating_mode: Register | None = None  # what it controls
     goal_time: Register | None = None  # [ms] for the way to the goal, 0 for the highest speed
     position_gain: Register | None = None  # of the position controller
     compliance: tuple[Register, ...] = ()  # margins and slopes, each clockwise and counterclockwise
@@ -307,6 +308,12 @@ class ControlTable:
             self.present_voltage,
             self.present_temperature,
         )
+
+    @cached_property
+    def of_bus(self) -> tuple[object, ...]:
+        """What the tables of servos on one bus have in common: all registers by their role, but those of the torque limit."""
+        own = ("size", "registers", "max_torque", "torque_limit")
+        return tuple(getattr(self, one.name) for one in fields(self) if one.name not in own)
 
     @cached_property
     def state(self) -> "Block":
@@ -432,12 +439,18 @@ class ServoModel:
     feedback: Feedback = Feedback.ALL
     error_bits: Mapping[int, ServoError] = field(default_factory=lambda: _ERROR_BITS)  # of both error registers
     commands: Commands | None = None  # None for a servo with registers
+    limits_current: bool = False  # whether the torque limit is a current, and its unit that of the load
     bus_rate: int = 1_000_000  # [bit/s] of a robot's bus
 
     @property
     def no_load_speed(self) -> float:
         """No-load speed [rad/s] in joint mode."""
         return self.no_load_rpm * 2.0 * math.pi / 60.0
+
+    @property
+    def full_torque(self) -> float:
+        """Torque limit [ticks] with which a servo exerts its stall torque."""
+        return 1.0 / self.units.torque if self.limits_current else float(self.table.torque_limit.max)
 
     def has(self, register: Register) -> bool:
         """Return whether a servo of this model has a register of its table."""

@@ -1,15 +1,20 @@
 """Dynamixel X series, models X430 and XM540: control table of Protocol 2.0 and its units.
 
+The XM430 and the XM540 measure and limit their current: `CURRENT_TABLE`. The others have a limit of the duty cycle only.
+
 Sources: ROBOTIS e-manual, pages XL430-W250, XC430-W150, XC430-W240, XM430-W350 and XM540-W270.
 """
 
 import math
+from dataclasses import replace
 
 from sextant.shared.servo.servo_model import ControlTable, Sign, Units, measured, setting
 
 MAX_PWM = 885  # [ticks] of the goal PWM, all of the voltage
 FAST_FIRMWARE = 45  # from which servos answer a fast sync read; older ones are read with a sync read
-CURRENT_A = 0.00269  # [A] per tick of the present current
+CURRENT_A = 0.00269  # [A] per tick of the present current, the goal current and the current limit
+MOST_CURRENT = 2047  # [ticks] of the current limit
+POSITION_MODE, CURRENT_MODE = 3, 5  # operating modes: position control, current-based position control
 UNITS = Units(
     centre=2048,
     max_position=4095,
@@ -96,9 +101,16 @@ TABLE = ControlTable(
     moving=_MOVING,
     registered=_REGISTERED,
     hardware_error=_HARDWARE_ERROR,
+    operating_mode=_OPERATING_MODE,
     position_gain=_POSITION_P,
 )
 # fmt: on
+# In current-based position control the goal current limits the torque, and the position limits have no effect.
+_CURRENT_LIMIT = setting("current limit", 38, 2, 1193, 0, MOST_CURRENT, eeprom=True)
+_GOAL_CURRENT = setting("goal current", 102, 2, 1193, 0, MOST_CURRENT)
+CURRENT_TABLE = replace(
+    TABLE, registers=(*TABLE.registers, _CURRENT_LIMIT, _GOAL_CURRENT), max_torque=_CURRENT_LIMIT, torque_limit=_GOAL_CURRENT
+)
 RATES = {
     0: 9_600,
     1: 57_600,
@@ -109,4 +121,12 @@ RATES = {
     6: 4_000_000,
     7: 4_500_000,
 }  # fmt: skip  # [bit/s]
-SETTINGS = {_OPERATING_MODE.name: 3, _DRIVE_MODE.name: 0, _STARTUP.name: 0, _RETURN_LEVEL.name: 2, _RETURN_DELAY.name: 0}
+GOAL_PWM, PWM_LIMIT = _GOAL_PWM, _PWM_LIMIT
+SETTINGS = {
+    _OPERATING_MODE.name: POSITION_MODE,
+    _DRIVE_MODE.name: 0,
+    _STARTUP.name: 0,
+    _RETURN_LEVEL.name: 2,
+    _RETURN_DELAY.name: 0,
+}
+CURRENT_SETTINGS = {**SETTINGS, _OPERATING_MODE.name: CURRENT_MODE}

@@ -93,7 +93,7 @@ def limited_motion(bus: AnyBus, servo_ids: Sequence[int], *, others: bool = True
         for i in servo_ids:
             model = bus.model_of(i)
             if model.has(model.table.torque_limit):
-                put(bus, i, model.table.torque_limit, round(TORQUE_SHARE / model.units.torque))
+                _put_and_read(bus, i, model.table.torque_limit, round(TORQUE_SHARE / model.units.torque))
             put(bus, i, model.table.goal_speed, max(round(SPEED_RAD_S / model.units.speed_rad_s), 1))
         yield
     finally:
@@ -147,6 +147,13 @@ def put(bus: AnyBus, servo_id: int, register: Register, value: int) -> None:
     """Write a register until it is acknowledged; else raise ServoNotRespondingError."""
     if not took(bus, servo_id, register, value):
         raise silent(bus, servo_id, f"its {register.name} was being set to {value}")
+
+
+def _put_and_read(bus: AnyBus, servo_id: int, register: Register, value: int) -> None:
+    """Write a register until it is acknowledged, and read it again; raise ServoNotRespondingError if it has another value."""
+    put(bus, servo_id, register, value)
+    if (found := get(bus, servo_id, register)) != value:
+        raise silent(bus, servo_id, f"its {register.name} was being set to {value} and remained {found}")
 
 
 def took(bus: Servos, servo_id: int, register: Register, value: int) -> bool:

@@ -141,7 +141,7 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
         if seen.response is not BusResponse.CLEAR:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
             continue
-        if seen.identified and seen.identified.table is not seen.expected.table:
+        if seen.identified and seen.identified.table.of_bus != seen.expected.table.of_bus:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<10}")  # its measurements are in other registers
             continue
         firmware = "-" if seen.firmware is None else f"{seen.firmware}"

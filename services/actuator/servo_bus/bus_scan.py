@@ -151,7 +151,7 @@ class ServoScan:
         """Expected or known model with the packets of the expected one, whose number is in its own place of the table."""
         start = self.expected.protocol.answer_start
         alike = [self.expected, *(one for one in MODELS if one.protocol.answer_start is start)]
-        alike.sort(key=lambda one: one.table is not self.expected.table)
+        alike.sort(key=lambda one: one.table.of_bus != self.expected.table.of_bus)
         return next((one for one in alike if self[one.table.model_number] == one.number), None)
 
     @property

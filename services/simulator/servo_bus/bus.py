@@ -14,7 +14,7 @@ from functools import lru_cache
 
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, AnswersOnly, Reply
 from sextant.services.simulator.servo_bus.servo_banks import AnyBank
-from sextant.shared.servo import dynamixel2
+from sextant.shared.servo import dynamixel2, x_series
 from sextant.shared.servo.servo_model import (
     Access,
     Block,
@@ -296,20 +296,28 @@ class ServoBusEmulator(AnswersOnly):
 
         A valid write covers whole writable registers, has values in range, and goals within the angle limits.
         """
-        table = self._registers
+        model = self._bank.model_of(row)
+        table = model.table
         ranges = _ranges_in(table, address, len(data))
         if ranges is None or self._is_protected(row, address, len(data)):
             return ServoError.RANGE
         for start, size, least, most in ranges:
             value = int.from_bytes(data[start : start + size], "little")
+            if model.limits_current and address + start == table.torque_limit.address:
+                most = self._value(row, table.max_torque)
             if not least <= value <= most:
                 return ServoError.RANGE
             if address + start == table.goal_position.address:
                 limits = table.limits.unpack(self._table(row, table.limits.address, table.limits.size))
                 low, high = limits  # both 0 is wheel mode
-                if not low <= value <= high and high:
+                if not low <= value <= high and high and self._has_limits(row):
                     return ServoError.ANGLE_LIMIT
         return ServoError.NONE
+
+    def _has_limits(self, row: int) -> bool:
+        """Return whether the angle limits of a servo have an effect in its operating mode."""
+        mode = self._registers.operating_mode
+        return mode is None or self._value(row, mode) == x_series.POSITION_MODE
 
     def _is_protected(self, row: int, address: int, size: int) -> bool:
         """Return whether a lock, which ends only with the power, or torque protects these registers."""

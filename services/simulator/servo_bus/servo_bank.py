@@ -18,6 +18,7 @@ from sextant.services.simulator.servo_bus.motors import AX_12A_MOTOR, Motor, Sup
 from sextant.services.simulator.servo_bus.servo_faults import ServoFaults
 from sextant.services.simulator.servo_bus.servo_kernels import measure, update_controllers, update_heat
 from sextant.shared.robot.servo import Battery, Servo
+from sextant.shared.servo import x_series
 from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import AX_12A
 from sextant.shared.servo.protection import Protection
@@ -216,7 +217,11 @@ class ServoBank:
             return
         enable = start + self.table.torque_enable.address
         was_on = self._bytes[enable]
+        mode = self.table.operating_mode
+        before = None if mode is None else self.column(mode)[row]
         self._bytes[start + address : start + end] = data
+        if mode is not None and self.column(mode)[row] != before:
+            self._reset_for_mode(row)
         if self.model.recovery is Recovery.REBOOT and self._latched_errors[row] & self._shuts_down_for(row):
             self._bytes[enable] = 0  # until it reboots
         turned_on = self._bytes[enable] and not was_on
@@ -225,6 +230,15 @@ class ServoBank:
         if self._ends_shutdown(row, address, end):
             self._latched_errors[row], self._tripped_share[row] = 0, 1.0
         self._settings_changed = True
+
+    def _reset_for_mode(self, row: int) -> None:
+        """Reset what another operating mode resets: gains, assumed to those of the factory, speed and limits of the torque."""
+        table = self.table
+        if table.position_gain is not None:
+            self.column(table.position_gain)[row] = self.model.default(table.position_gain)
+        self.column(table.goal_speed)[row] = 0
+        self._torque_limits[row] = self.column(table.max_torque)[row]
+        self.column(x_series.GOAL_PWM)[row] = self.column(x_series.PWM_LIMIT)[row]
 
     def _set_speed(self, row: int, goal_time: Register) -> None:
         """Set the goal speed with which a servo reaches its goal in its time, from the present angle of its ramp."""
@@ -436,11 +450,19 @@ class ServoBank:
         self._temperature_limit[:] = self.column(table.temperature_limit)
         self._convert_compliance()
         wheel_mode = (self.column(table.low_limit) == 0) & (self.column(table.high_limit) == 0)
-        limit = np.minimum(self._torque_limits, self.column(table.max_torque)) / float(table.torque_limit.max)
+        limit = np.minimum(self._torque_limits, self.column(table.max_torque)) / self.model.full_torque
+        if self.model.limits_current:
+            limit = self._current_limited(limit)
         off = (self.column(table.torque_enable) == 0) | wheel_mode | self._active_faults.unpowered
         self._limit[:] = np.where(off, 0.0, self._stall_torque * limit * self._tripped_share)
         self._torque_off = self._limit == 0.0
         self._out.torque_limit[:] = self._limit
+
+    def _current_limited(self, share: Array) -> Array:
+        """Return shares (n,) of the stall torque of servos whose current is limited to a share, in the mode that limits it."""
+        mode = self.column(self.table.operating_mode) if self.table.operating_mode else x_series.CURRENT_MODE
+        most = np.minimum(self.column(x_series.GOAL_PWM), self.column(x_series.PWM_LIMIT)) / float(x_series.MAX_PWM)
+        return np.asarray(np.where(mode == x_series.CURRENT_MODE, np.minimum(share, most), most))
 
     def _convert_compliance(self) -> None:
         """Convert the settings of the position controllers to margins and stiffness."""

@@ -59,7 +59,7 @@ class ServoBanks:
         bank.power_up(row)
 
     def column(self, register: Register) -> NDArray[np.unsignedinteger]:
-        """Return one register (n,) of all servos, which must have the same registers; a copy."""
+        """Return one register (n,) of all servos, which must have it; a copy."""
         return np.asarray(self._joined([bank.column(register) for bank in self._banks]))
 
     def set_faults(self, faults: ServoFaults | None) -> None:

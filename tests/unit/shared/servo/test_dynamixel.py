@@ -26,18 +26,41 @@ def hexed(text: str) -> bytes:
 
 @pytest.mark.parametrize(
     ("packet", "expected"),
-    [
+    [  # https://emanual.robotis.com/docs/en/dxl/protocol1/
         (dxl.ping(1), "FF FF 01 02 01 FB"),
         (dxl.status(1, 0), "FF FF 01 02 00 FC"),
+        (dxl.status(1, 0x24), "FF FF 01 02 24 D8"),
+        (dxl.read(1, 43, 1), "FF FF 01 04 02 2B 01 CC"),
+        (dxl.status(1, 0, b"\x20"), "FF FF 01 03 00 20 DB"),
+        (dxl.write(254, 3, b"\x01"), "FF FF FE 04 03 03 01 F6"),
+        (dxl.reg_write(1, 30, hexed("F4 01")), "FF FF 01 05 04 1E F4 01 E2"),
+        (dxl.action(), "FF FF FE 02 05 FA"),
+        (dxl.reset(0), "FF FF 00 02 06 F7"),
+        (dxl.status(1, 0, hexed("00 80")), "FF FF 01 04 00 00 80 7A"),
         (dxl.write(1, 12, bytes((100, 170))), "FF FF 01 05 03 0C 64 AA DC"),
         (
             dxl.sync_write(30, 4, [(0, hexed("10 00 50 01")), (1, hexed("20 02 60 03"))]),
             "FF FF FE 0E 83 1E 04 00 10 00 50 01 01 20 02 60 03 67",
         ),
-        (dxl.write(0, 14, hexed("FF 01")), "FF FF 00 05 03 0E FF 01 E9"),  # AX-12 manual, example 13
+        # AX-12 user's manual, 2006-06-14, chapter 5, examples 6 to 22
+        (dxl.read(1, 0, 3), "FF FF 01 04 02 00 03 F5"),
+        (dxl.status(1, 0, hexed("74 00 08")), "FF FF 01 05 00 74 00 08 7D"),
+        (dxl.write(1, 3, b"\x00"), "FF FF 01 04 03 03 00 F4"),
+        (dxl.write(0, 4, b"\x01"), "FF FF 00 04 03 04 01 F3"),
+        (dxl.write(0, 5, b"\x02"), "FF FF 00 04 03 05 02 F1"),
+        (dxl.write(0, 8, hexed("FF 01")), "FF FF 00 05 03 08 FF 01 EF"),
+        (dxl.write(0, 11, b"\x50"), "FF FF 00 04 03 0B 50 9D"),
+        (dxl.write(0, 24, b"\x01\x01"), "FF FF 00 05 03 18 01 01 DD"),
+        (dxl.write(0, 26, hexed("01 01 40 40")), "FF FF 00 07 03 1A 01 01 40 40 59"),
+        (dxl.write(0, 30, hexed("00 02 00 02")), "FF FF 00 07 03 1E 00 02 00 02 D3"),
+        (dxl.reg_write(0, 30, hexed("00 00")), "FF FF 00 05 04 1E 00 00 D8"),
+        (dxl.reg_write(1, 30, hexed("FF 03")), "FF FF 01 05 04 1E FF 03 D5"),
+        (dxl.write(0, 47, b"\x01"), "FF FF 00 04 03 2F 01 C8"),
+        (dxl.status(0, 8), "FF FF 00 02 08 F5"),
+        (dxl.write(0, 14, hexed("FF 01")), "FF FF 00 05 03 0E FF 01 E9"),
         (dxl.status(0, 0), "FF FF 00 02 00 FD"),
-        (dxl.write(0, 16, b"\x00"), "FF FF 00 04 03 10 00 E8"),  # example 14
-        (dxl.write(0, 17, b"\x04\x04"), "FF FF 00 05 03 11 04 04 DE"),  # example 15
+        (dxl.write(0, 16, b"\x00"), "FF FF 00 04 03 10 00 E8"),
+        (dxl.write(0, 17, b"\x04\x04"), "FF FF 00 05 03 11 04 04 DE"),
     ],
 )
 def test_packets_match_byte_vectors_of_manuals(packet: bytes, expected: str) -> None:

@@ -1,7 +1,8 @@
 """Bytes of the LX-16A bus: vectors, values of commands, and units.
 
-The maker's document gives lengths, ranges and the checksum, but no bytes. The vectors are from projects that publish what
-their servos accept and answer.
+The maker's document "LewanSoul Bus Servo Communication Protocol" gives lengths, ranges and the checksum, but no bytes. The
+vectors are from projects that publish what their servos accept and answer, such as
+https://github.com/madhephaestus/lx16a-servo; that of the voltage is from https://tlfong01.blog/2020/09/10/lx-224hv-chat-record/.
 """
 
 import math
@@ -27,6 +28,8 @@ hexed = bytes.fromhex
         (lx16a.write(1, Command.LOAD_OR_UNLOAD_WRITE, 0), "55 55 01 04 1F 00 DB"),
         (lx16a.write(1, Command.LOAD_OR_UNLOAD_WRITE, 1), "55 55 01 04 1F 01 DA"),
         (lx16a.read(1, Command.POS_READ), "55 55 01 03 1C DF"),
+        (lx16a.read(1, Command.VIN_READ), "55 55 01 03 1B E0"),
+        (lx16a.write(1, Command.MODE_WRITE, Mode.MOTOR, 100), "55 55 01 07 1D 01 00 64 00 75"),
         (lx16a.read(254, Command.ID_READ), "55 55 FE 03 0E F0"),
         (lx16a.read(1, Command.ID_READ), "55 55 01 03 0E ED"),
     ],
