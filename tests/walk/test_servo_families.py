@@ -8,11 +8,13 @@ from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.robot.new_profile import Measures, new_profile
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.scale import leg_scale
 from sextant.shared.scenario.scenario import load_scenario
 from tests.support.families import FAMILIES, robot_with
 
 _LOOK_NS = 500_000_000
 STRONG = [name for name in FAMILIES if name != "XL-320"]  # 0.39 N m are too weak for this robot of 2.4 kg
+SMALLEST = Measures(0.03, 0.045, 0.075, 0.07, 0.035, 0.06, 0.75, "XL-320")  # 16.7 g a servo, a Raspberry Pi Zero and two cells
 
 
 @pytest.mark.parametrize(
@@ -40,6 +42,19 @@ def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> No
 )
 def test_robot_walks_with_a_microcontroller_between(name: str, terrain: str, distance: float) -> None:
     walk(robot_with(name), terrain, distance, bridge=True)
+
+
+@pytest.mark.rare
+@pytest.mark.parametrize("terrain", ["flat", "steps", "stairs"])
+def test_robot_of_the_smallest_servos_walks_over_courses_of_its_size(terrain: str) -> None:
+    robot = new_profile("smallest", SMALLEST)
+    course = load_scenario(terrain).scaled(leg_scale(robot))
+    walk(robot, course.name, course.goal.distance)
+
+
+def test_robot_lighter_than_a_kilogram_feels_level_ground_and_walks() -> None:
+    robot = new_profile("smallest", SMALLEST)
+    walk(robot, "flat", 0.3)
 
 
 @pytest.mark.rare

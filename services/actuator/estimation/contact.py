@@ -15,6 +15,7 @@ _MIDDLE = np.array([[0.0], [0.0], [1.0]])  # middle of the body, as a row x, y, 
 _LEG_TRIPLES = np.array(list(combinations(range(6), 3)))  # (20, 3) all choices of three legs
 _OUTSIDE_SHARE = 0.05  # share of the body weight by which its middle may lie outside of three feet
 _MIN_DETERMINANT_M2 = 1e-4  # [m^2] of a leg's Jacobian in its plane: that of a PhantomX leg stretched to within 0.7 deg
+_REFERENCE_MASS_KG = 2.5  # [kg] mass of the robot from which the limits of the parameters hold
 _MIN_AREA_M2 = 1e-3  # [m^2] smallest triangle of feet that determines a plane
 
 
@@ -27,6 +28,7 @@ class ContactEstimate:
     def __init__(self, profile: RobotProfile, params: ContactParams | None = None):
         """Begin with no contact."""
         self._profile, self._params = profile, params or ContactParams()
+        self._mass_ratio = min(1.0, profile.body.total_mass / _REFERENCE_MASS_KG)
         self._force = np.zeros(6)  # (6,) [N] smoothed upward ground forces
         self.legs: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # (6,) in contact
 
@@ -38,7 +40,8 @@ class ContactEstimate:
         legs = zip(q.tolist(), torque.tolist(), strict=True)
         force = np.array([self._ground_force(*angles[1:], *torques[1:]) for angles, torques in legs])
         self._force += (1.0 - math.exp(-dt / self._params.smoothing_s)) * (force - self._force)
-        self.legs = np.where(self.legs, self._force > self._params.lift_n, self._force > self._params.touch_n)
+        touch_n, lift_n = self._mass_ratio * self._params.touch_n, self._mass_ratio * self._params.lift_n
+        self.legs = np.where(self.legs, self._force > lift_n, self._force > touch_n)
         return self.legs
 
     def _ground_force(self, femur: float, tibia: float, femur_torque: float, tibia_torque: float) -> float:
@@ -59,7 +62,7 @@ class ContactEstimate:
 
         It is valid while they move slowly or stand.
         """
-        return np.asarray(self._force > self._params.firm_n)
+        return np.asarray(self._force > self._mass_ratio * self._params.firm_n)
 
     def lifted(self, feet: Array) -> Array:
         """Return heights (6,) [m] of feet (6, 3) [m] {body} in the air, else 0.

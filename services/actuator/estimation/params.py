@@ -25,7 +25,10 @@ class TouchdownParams(Params):
 
 @dataclass(frozen=True, slots=True)
 class ContactParams(Params):
-    """Contact of standing feet by the torques of all joints of a leg, with hysteresis."""
+    """Contact of standing feet by the torques of all joints of a leg, with hysteresis.
+
+    The forces fall with the mass of a robot of less than 2.5 kg.
+    """
 
     touch_n: float = ranged(1.5, 0.1, 100.0)  # [N] contact begins
     lift_n: float = ranged(0.8, 0.0, 100.0)  # [N] contact ends

@@ -1,5 +1,7 @@
 """Contact of the feet, estimated from the motors' torques only."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 from sextant.services.actuator.estimation.contact import ContactEstimate
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.kinematics import body_inverse, joint_torques
+from sextant.shared.robot.profile import GRAVITY
 from sextant.shared.robot.profiles import load_profile
 
 Flags = NDArray[np.bool_]
@@ -41,6 +44,17 @@ def test_legs_under_upward_force_are_in_contact() -> None:
 
 def test_hanging_legs_are_not_in_contact() -> None:
     assert not settled(ContactEstimate(PROFILE), np.full(6, -3.0)).any()
+
+
+@pytest.mark.parametrize("mass", [0.4, 0.75, 1.9, 2.5, 5.0])
+def test_feet_that_share_the_weight_of_a_robot_of_any_mass_are_in_contact(mass: float) -> None:
+    factor = mass / PROFILE.body.total_mass
+    legs = tuple(factor * link for link in PROFILE.body.leg_link_masses)
+    light = replace(PROFILE, body=replace(PROFILE.body, mass=factor * PROFILE.body.mass, leg_link_masses=legs))
+    estimate = ContactEstimate(light)
+    assert settled(estimate, np.full(6, mass * GRAVITY / 6.0)).all()
+    assert estimate.firm.all()
+    assert not settled(estimate, np.full(6, 0.15 * min(mass, 2.5) * GRAVITY / 6.0)).any()
 
 
 def test_contact_has_hysteresis() -> None:
