@@ -58,8 +58,11 @@ def test_robot_lighter_than_a_kilogram_feels_level_ground_and_walks() -> None:
 
 
 @pytest.mark.rare
-def test_robot_with_command_servos_walks_over_steps() -> None:
-    walk(load_profile("jethexa_hx35h"), "steps", load_scenario("steps").goal.distance)
+@pytest.mark.parametrize("name", ["jethexa_hx35h", "small_sts3215"])
+def test_robot_walks_over_steps_of_its_size(name: str) -> None:
+    robot = load_profile(name)
+    course = load_scenario("steps").scaled(leg_scale(robot))
+    walk(robot, course.name, course.goal.distance)
 
 
 def walk(profile: RobotProfile, terrain: str, distance: float, bridge: bool = False) -> None:
