@@ -141,6 +141,8 @@ def trials(scenario: str, variant: options.Variant, seeds: Sequence[int], blind:
     """
     place.check()
     curve.check()
+    if curve.curve and variant.scaled:
+        raise InputError("--curve finds the lengths that a robot passes as they are; leave --scaled out")
     if curve.curve:
         return _curve(scenario, variant, seeds, blind, curve.values(), place)
     if scenario in _GROUPS:

@@ -116,6 +116,10 @@ MISTAKES = [
         "--cluster: local:N or a scheduler's address such as tcp://10.0.0.1:8786 expected",
     ),
     ("trials flat --seeds 0:2 --cluster local:2 --jobs 2", "one of --jobs and --cluster expected, found both"),
+    (
+        "trials riser --curve --scaled --seeds 0:2",
+        "--curve finds the lengths that a robot passes as they are; leave --scaled out",
+    ),
     ("trials risr --curve --seeds 0:2", "no family of scenarios 'risr'; did you mean 'riser'?"),
     ("trials riser --seeds 0:2 --at 0.02,0.03", "--at: values for --curve expected, found none; add --curve"),
     ("trials riser --curve --seeds 0:2 --at 0.03,x", "--at: rising or falling numbers A,B,... expected, found '0.03,x'"),
