@@ -115,7 +115,7 @@ class Recorder(WireLog):
         def written(register: Register) -> dict[int, int]:
             start = register.address - request.address
             end = start + register.size
-            return {i: int.from_bytes(row[start:end], "little") for i, row in rows.items() if start >= 0 and end <= len(row)}
+            return {i: register.decode(row[start:end]) for i, row in rows.items() if start >= 0 and end <= len(row)}
 
         table = self._table
         if side == "sent" and (goals := written(table.goal_position)):

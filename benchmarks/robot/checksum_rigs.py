@@ -177,7 +177,7 @@ class _Servos:
         register = self._rng.choice([one for one in model.table.registers if model.has(one)])
         value = read(servo_id, register)
         if value is not None:
-            held = int.from_bytes(self.bank.read(row, register.address, register.size), "little")
+            held = register.decode(self.bank.read(row, register.address, register.size))
             self._found.registers += 1
             self._found.note([] if value == held else ["register"])
 

@@ -15,7 +15,7 @@ from sextant.shared.servo.servo_model import ServoModel
 from sextant.shared.spelling import hint
 
 # [N m] stall torque of each model at its usual voltage: 14.8 V for the RX-64, 11.1 V for XL430 and HX-35H, 7.4 V for XL-320 and
-# LX-16A, and 12 V for the others.
+# LX-16A, 6 V for SCS0009, and 12 V for the others.
 STALL_TORQUES = MappingProxyType(
     {
         "AX-12A": 1.5,
@@ -32,6 +32,7 @@ STALL_TORQUES = MappingProxyType(
         "XM430-W350": 4.1,
         "XM540-W270": 10.6,
         "STS3215": 2.94,
+        "SCS0009": 0.226,
         "LX-16A": 1.67,
         "HX-35H": 3.43,
     }
@@ -53,7 +54,7 @@ AT_VOLTS = MappingProxyType(
         "STS3215": {12.0: (2.94, 45.0), 7.4: (1.91, 52.0)},
     }
 )
-_USUAL_VOLTS = MappingProxyType({"XL-320": 7.4, "LX-16A": 7.4})  # of models without entry above; for the others 12 V
+_USUAL_VOLTS = MappingProxyType({"XL-320": 7.4, "LX-16A": 7.4, "SCS0009": 6.0})  # without entry above; for others 12 V
 _COMPLIANCE_SLOPE = 32  # the factory's
 _ARMATURE_PER_NM, _FRICTION_PER_NM = 0.002, 0.02  # [kg m^2] and [N m] per N m of stall torque, assumed: those of the AX-12A
 # [kg m^2] armature and [N m] friction of servos that were identified: the STS3215 for Open Duck Mini

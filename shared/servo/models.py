@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from types import MappingProxyType
 
-from sextant.shared.servo import dynamixel, dynamixel2, feetech, lewansoul, x_series, xl320
+from sextant.shared.servo import dynamixel, dynamixel2, feetech, feetech_scs, lewansoul, x_series, xl320
 from sextant.shared.servo.servo_model import (
     ALL_OF_PROTOCOL_1,
     Commands,
@@ -102,6 +102,24 @@ STS3215 = ServoModel(
     unlocks=True,
 )
 
+SCS0009 = ServoModel(
+    "SCS0009",
+    1284,
+    feetech_scs,
+    feetech_scs.TABLE,
+    feetech_scs.UNITS,
+    MappingProxyType(feetech_scs.RATES),
+    # The return delay of 2 us tells a servo that is set up from a new one.
+    MappingProxyType({feetech_scs.TABLE.status_return_level.name: 1, feetech_scs.TABLE.return_delay.name: 1}),
+    no_load_rpm=100.0,  # 0.1 s for 60 deg, at 6 V
+    overrides=_NONE,
+    recovery=Recovery.TORQUE_ENABLE,
+    errors=ServoError.INPUT_VOLTAGE | ServoError.OVERHEATING | ServoError.OVERLOAD,
+    gain_stiffness=1.0 / (15 * math.radians(10.0)),  # full torque at an error of 10 deg with the gain of the factory: assumed
+    unlocks=True,
+    lacks=feetech_scs.LACKS,
+)
+
 
 def _x(name: str, number: int, no_load_rpm: float, **overrides: int) -> ServoModel:
     """Return a model of the X series."""
@@ -189,6 +207,6 @@ LX_16A = _lewansoul("LX-16A", 16, 62.5)  # 0.16 s for 60 deg at 7.4 V
 HX_35H = _lewansoul("HX-35H", 35, 55.6, max_voltage=14_000)  # 0.18 s for 60 deg at 11.1 V
 MODELS = (
     *(AX_12A, AX_18A, AX_12W, RX_28, RX_64, MX_28, MX_64, XL430_W250, XC430_W150, XC430_W240, XM430_W350),
-    *(XM540_W270, XL_320, STS3215, LX_16A, HX_35H),
+    *(XM540_W270, XL_320, STS3215, SCS0009, LX_16A, HX_35H),
 )
 MODEL_NAMED = MappingProxyType({model.name: model for model in MODELS})

@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum, Flag, IntFlag, StrEnum, auto
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
+
+Order = Literal["little", "big"]
 
 
 class Access(StrEnum):
@@ -22,7 +24,7 @@ class Access(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One register of a control table, little-endian, one, two or four bytes."""
+    """One register of a control table: one, two or four bytes."""
 
     name: str
     address: int
@@ -32,6 +34,12 @@ class Register:
     min: int  # lowest value that may be written
     max: int  # highest value that may be written
     eeprom: bool  # persists without power
+    order: Order = "little"  # of its bytes
+
+    @property
+    def dtype(self) -> str:
+        """Type of its number in NumPy."""
+        return f"{'<' if self.order == 'little' else '>'}u{self.size}"
 
     def encode(self, value: int) -> bytes:
         """Encode a value.
@@ -41,7 +49,11 @@ class Register:
         """
         if not self.min <= value <= self.max:
             raise ValueError(f"{self.name} takes {self.min} to {self.max}, found {value}")
-        return value.to_bytes(self.size, "little")
+        return value.to_bytes(self.size, self.order)
+
+    def decode(self, data: bytes) -> int:
+        """Return the value in its bytes."""
+        return int.from_bytes(data, self.order)
 
 
 def measured(name: str, address: int, size: int, default: int = 0, *, eeprom: bool = False) -> Register:
@@ -352,17 +364,18 @@ class Block:
     """Registers that one request reads or writes, and the bytes between them."""
 
     def __init__(self, registers: tuple[Register, ...]) -> None:
-        """Find the smallest range of addresses with all of these registers."""
-        ordered = sorted(registers, key=lambda register: register.address)
+        """Find the smallest range of addresses with all of these registers; two roles may have one address."""
+        at_address = {register.address: register for register in registers}
+        ordered = [at_address[address] for address in sorted(at_address)]
         self.address = ordered[0].address
         self.size = ordered[-1].address + ordered[-1].size - self.address  # [bytes]
-        codes, at = ["<"], self.address
+        codes, at = [ordered[0].dtype[0]], self.address
         for register in ordered:
             codes.append(f"{register.address - at}x" if register.address > at else "")
             codes.append(_STRUCT_CODES[register.size])
             at = register.address + register.size
         self._struct = struct.Struct("".join(codes))
-        self._order = tuple(ordered.index(register) for register in registers)
+        self._order = tuple(sorted(at_address).index(register.address) for register in registers)
         self._is_ordered = self._order == tuple(range(len(registers)))
 
     def unpack(self, data: bytes) -> tuple[int, ...]:
@@ -439,6 +452,7 @@ class ServoModel:
     feedback: Feedback = Feedback.ALL
     error_bits: Mapping[int, ServoError] = field(default_factory=lambda: _ERROR_BITS)  # of both error registers
     commands: Commands | None = None  # None for a servo with registers
+    lacks: frozenset[Register] = frozenset()  # roles of its table that it does not have
     limits_current: bool = False  # whether the torque limit is a current, and its unit that of the load
     bus_rate: int = 1_000_000  # [bit/s] of a robot's bus
 
@@ -454,7 +468,7 @@ class ServoModel:
 
     def has(self, register: Register) -> bool:
         """Return whether a servo of this model has a register of its table."""
-        return self.commands is None or register not in self.commands.lacks
+        return register not in (self.lacks if self.commands is None else self.commands.lacks)
 
     def hardware_errors(self, value: int) -> ServoError:
         """Return the errors in the hardware error register, or in the shutdown register."""
@@ -503,5 +517,5 @@ class ServoModel:
         table = bytearray(self.table.size)
         for register in self.table.registers:
             value = self.default(register)
-            table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
+            table[register.address : register.address + register.size] = value.to_bytes(register.size, register.order)
         return bytes(table)

@@ -19,7 +19,8 @@ from sextant.shared.robot.servo_proposal import proposed_battery
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import ServoModel
 
-FAMILIES = ("AX-12A", "MX-28", "XL-320", "XL430-W250", "XM430-W350", "STS3215", "LX-16A")  # one of each control table, at least
+# One of each control table, at least.
+FAMILIES = ("AX-12A", "MX-28", "XL-320", "XL430-W250", "XM430-W350", "STS3215", "SCS0009", "LX-16A")
 
 LEFT_AND_RIGHT = (BusJoints(name="left", joints=("left",)), BusJoints(name="right", joints=("right",)))
 

@@ -162,7 +162,7 @@ class ServoBus:
         self._goal_rows = np.zeros((n, 1 + goals.size), dtype=np.uint8)  # id, goal position and speed: rows of a sync write
         self._goal_rows[:, 0] = servo_ids
         self._goal_columns, self._speed_columns = (
-            _view(self._goal_rows, 1 + register.address - goals.address, register.size)
+            _view(self._goal_rows, 1 + register.address - goals.address, register.dtype)
             for register in (self._table.goal_position, self._table.goal_speed)
         )
 
@@ -219,7 +219,7 @@ class ServoBus:
     def read(self, servo_id: int, register: Register) -> int | None:
         """Return the value of a register, None when the servo does not answer."""
         data = self.read_bytes(servo_id, register.address, register.size)
-        return None if data is None else int.from_bytes(data, "little")
+        return None if data is None else register.decode(data)
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
         """Return bytes of a control table, None when the servo does not answer or refuses."""
@@ -600,10 +600,10 @@ class ServoBus:
         return True
 
 
-def _view(rows: NDArray[np.uint8], offset: int, size: int) -> NDArray[np.unsignedinteger]:
-    """Return a column (n,) of little-endian numbers of `size` bytes in rows of bytes."""
+def _view(rows: NDArray[np.uint8], offset: int, dtype: str) -> NDArray[np.unsignedinteger]:
+    """Return a column (n,) of numbers in rows of bytes."""
     n, width = rows.shape
-    return np.ndarray((n,), dtype=f"<u{size}", buffer=rows.data, offset=offset, strides=(width,))
+    return np.ndarray((n,), dtype=dtype, buffer=rows.data, offset=offset, strides=(width,))
 
 
 def _nothing() -> None:

@@ -136,7 +136,7 @@ class ServoScan:
 
     def __getitem__(self, register: Register) -> int:
         """Return the value of a register; requires a clear response."""
-        return int.from_bytes(self.table[register.address : register.address + register.size], "little")
+        return register.decode(self.table[register.address : register.address + register.size])
 
     @property
     def model(self) -> str:

@@ -34,6 +34,6 @@ def end(bus: Servos, servo_id: int, goal_ticks: int, torque_limit: int, may_pull
         return False
     if not write(table.goal_position, goal_ticks):
         return False
-    if not write(table.torque_limit, torque_limit):
+    if model.has(table.torque_limit) and not write(table.torque_limit, torque_limit):
         return False
     return model.recovery is Recovery.TORQUE_LIMIT or (may_pull() and write(table.torque_enable, 1))

@@ -298,16 +298,16 @@ class ServoBusEmulator(AnswersOnly):
         """
         model = self._bank.model_of(row)
         table = model.table
-        ranges = _ranges_in(table, address, len(data))
-        if ranges is None or self._is_protected(row, address, len(data)):
+        covered = _registers_in(table, address, len(data))
+        if covered is None or self._is_protected(row, address, len(data)):
             return ServoError.RANGE
-        for start, size, least, most in ranges:
-            value = int.from_bytes(data[start : start + size], "little")
-            if model.limits_current and address + start == table.torque_limit.address:
+        for register in covered:
+            value, most = register.decode(data[register.address - address :][: register.size]), register.max
+            if model.limits_current and register.address == table.torque_limit.address:
                 most = self._value(row, table.max_torque)
-            if not least <= value <= most:
+            if not register.min <= value <= most:
                 return ServoError.RANGE
-            if address + start == table.goal_position.address:
+            if register is table.goal_position:
                 limits = table.limits.unpack(self._table(row, table.limits.address, table.limits.size))
                 low, high = limits  # both 0 is wheel mode
                 if not low <= value <= high and high and self._has_limits(row):
@@ -341,7 +341,7 @@ class ServoBusEmulator(AnswersOnly):
         return data
 
     def _value(self, row: int, register: Register) -> int:
-        return int.from_bytes(self._table(row, register.address, register.size), "little")
+        return register.decode(self._table(row, register.address, register.size))
 
     def _change(self, time_ns: int, address: int, rows: dict[int, bytes]) -> None:
         if not rows:
@@ -461,8 +461,8 @@ def _nobody(data: bytes, now_ns: int) -> None:
 
 
 @lru_cache(maxsize=1024)
-def _ranges_in(table: ControlTable, address: int, size: int) -> tuple[tuple[int, int, int, int], ...] | None:
-    """Return start in the data, size, least and largest value of each register that a write of `size` bytes covers.
+def _registers_in(table: ControlTable, address: int, size: int) -> tuple[Register, ...] | None:
+    """Return the registers that a write of `size` bytes covers.
 
     The result is None if it covers a read-only register, or a register only partly. Unused addresses between registers accept
     any value.
@@ -476,5 +476,5 @@ def _ranges_in(table: ControlTable, address: int, size: int) -> tuple[tuple[int,
             whole = address <= register.address and register.address + register.size <= end
             if not whole or register.access is not Access.READ_WRITE:
                 return None
-            found.append((register.address - address, register.size, register.min, register.max))
+            found.append(register)
     return tuple(found)

@@ -39,6 +39,7 @@ RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: 
 MX_28_MOTOR = Motor(stall_torque=2.5, stall_current=1.4, standby_current=0.1)  # at 12 V
 MX_64_MOTOR = Motor(stall_torque=6.0, stall_current=4.1, standby_current=0.1)  # at 12 V
 STS3215_MOTOR = Motor(stall_torque=2.94, stall_current=2.7, standby_current=0.006)  # the model for 12 V
+SCS0009_MOTOR = Motor(stall_torque=0.226, stall_current=1.0, standby_current=0.01)  # at 6 V; standby assumed
 XL_320_MOTOR, XL_320_SUPPLY = Motor(stall_torque=0.39, stall_current=1.1, standby_current=0.02), Supply(8.4, 6.6)  # two cells
 XL430_W250_MOTOR = Motor(stall_torque=1.4, stall_current=1.3, standby_current=0.052)  # at 11.1 V
 XC430_W150_MOTOR = Motor(stall_torque=1.6, stall_current=1.4, standby_current=0.046)  # at 12 V
@@ -66,6 +67,7 @@ MOTOR_AND_SUPPLY = {
     "XM430-W350": (XM430_W350_MOTOR, Supply()),
     "XM540-W270": (XM540_W270_MOTOR, Supply()),
     "STS3215": (STS3215_MOTOR, Supply()),
+    "SCS0009": (SCS0009_MOTOR, XL_320_SUPPLY),
     "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
     "LX-16A": (LX_16A_MOTOR, Supply(full_voltage=8.4, empty_voltage=6.6)),
     "HX-35H": (HX_35H_MOTOR, Supply()),

@@ -121,7 +121,7 @@ class ServoBank:
         self.table, self._units = table, units
         self.tables: NDArray[np.uint8] = np.frombuffer(self._bytes, dtype=np.uint8).reshape(n, table.size)
         self._stored: dict[int, bytearray] = {}  # row -> EEPROM after a loss of power, where it differs from the table
-        self._columns = {register.name: self._view(register) for register in table.registers}
+        self._columns = {register.name: self._view(register) for register in (*table.registers, table.torque_limit)}
         self.column(table.id)[:] = servo_ids
         self._torque_limits = self.column(table.torque_limit)
         self._torque_limits[:] = self.column(table.max_torque)
@@ -487,7 +487,7 @@ class ServoBank:
 
     def _view(self, register: Register) -> NDArray[np.unsignedinteger]:
         n, width = self.tables.shape
-        return np.ndarray((n,), f"<u{register.size}", buffer=self._bytes, offset=register.address, strides=(width,))
+        return np.ndarray((n,), register.dtype, buffer=self._bytes, offset=register.address, strides=(width,))
 
     def _position_ticks(self, row: int) -> int:
         return min(max(self._units.ticks(float(self._q[row])), 0), self._units.max_position)

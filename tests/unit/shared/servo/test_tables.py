@@ -2,14 +2,16 @@
 
 Sources: ROBOTIS e-manual, https://emanual.robotis.com/docs/en/dxl/ and the page of the model: ax/ax-12a, ax/ax-18a, ax/ax-12w,
 rx/rx-28, rx/rx-64, mx/mx-28, mx/mx-64, x/xl320, x/xl430-w250, x/xc430-w150, x/xc430-w240, x/xm430-w350, x/xm540-w270.
-Feetech's memory table of the STS series.
+Feetech's memory tables of the STS series and of the SCS series (FD1.9.8); model numbers of both in
+https://github.com/huggingface/lerobot/blob/main/src/lerobot/motors/feetech/tables.py.
 """
 
 from collections.abc import Mapping
+from random import Random
 
 import pytest
 
-from sextant.shared.servo import dynamixel2, feetech
+from sextant.shared.servo import dynamixel2, feetech, feetech_scs
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import Access, Kind, ServoError, signed
 
@@ -60,6 +62,63 @@ def test_rows_of_the_manual(name: str, rows: dict[str, tuple[int, ...]]) -> None
     for role, row in rows.items():
         register = getattr(model.table, role)
         assert (register.address, register.size, *(model.default(register) for _ in row[2:])) == row, role
+
+
+SCS: Mapping[str, tuple[int, ...]] = {
+    "model_number": (3, 2, 1284), "id": (5, 1, 1), "baud_rate": (6, 1, 0), "return_delay": (7, 1, 0),
+    "status_return_level": (8, 1, 1), "low_limit": (9, 2, 20), "high_limit": (11, 2, 1003), "temperature_limit": (13, 1, 80),
+    "max_voltage": (14, 1, 90), "min_voltage": (15, 1, 45), "max_torque": (16, 2, 1000), "shutdown": (19, 1, 36),
+    "position_gain": (21, 1, 15), "torque_enable": (40, 1, 0), "goal_position": (42, 2), "goal_speed": (46, 2, 0),
+    "lock": (48, 1, 0), "present_position": (56, 2), "present_speed": (58, 2), "present_load": (60, 2),
+    "present_voltage": (62, 1), "present_temperature": (63, 1), "registered": (64, 1), "moving": (66, 1),
+}  # fmt: skip
+
+
+def test_rows_of_the_scs_series() -> None:
+    model = MODEL_NAMED["SCS0009"]
+    for role, row in SCS.items():
+        register = getattr(model.table, role)
+        assert (register.address, register.size, *(model.default(register) for _ in row[2:])) == row, role
+        assert register.size == 1 or register.order == "big", role
+    assert not model.has(model.table.torque_limit)
+
+
+@pytest.mark.parametrize("name", sorted(MODEL_NAMED))
+def test_numbers_of_a_table_have_one_byte_order(name: str) -> None:
+    model = MODEL_NAMED[name]
+    orders = {register.order for register in model.table.registers if register.size > 1}
+    assert orders == ({"big"} if name == "SCS0009" else {"little"})
+
+
+@pytest.mark.parametrize("name", sorted(MODEL_NAMED))
+def test_blocks_hold_their_registers(name: str) -> None:
+    table = MODEL_NAMED[name].table
+    data = Random(name).randbytes(table.size)
+    parts = (table.max_torque, table.torque_enable, table.goal_position, table.torque_limit)
+    for block, registers in (
+        (table.state, table.measured),
+        (table.condition, (*parts, table.present_position, table.present_load)),
+        (table.limits, (table.low_limit, table.high_limit)),
+        (table.goals, (table.goal_position, table.goal_speed)),
+    ):
+        held = tuple(one.decode(data[one.address : one.address + one.size]) for one in registers)
+        assert block.unpack(data[block.address : block.address + block.size]) == held
+
+
+def test_potentiometer_servos_have_the_high_byte_first() -> None:
+    """The order is stated by Feetech's "Communication Protocol User Manual", section 1.0.
+
+    The write of position 512 and time 20 is a vector of a driver for them: `FF FF 01 09 03 2A 02 00 00 14 00 00 B2`.
+    """
+    table = MODEL_NAMED["SCS0009"].table
+    goal_time = next(register for register in table.registers if register.name == "goal time")
+    data = table.goal_position.encode(512) + goal_time.encode(20) + table.goal_speed.encode(0)
+    assert feetech_scs.write(1, 42, data) == bytes.fromhex("FF FF 01 09 03 2A 02 00 00 14 00 00 B2")
+    (answer,) = feetech_scs.answer_parser(8).feed(feetech_scs.status(1, 0, bytes.fromhex("02 00 80 64 04 0A 3C 1E")))
+    assert table.state.unpack(answer.parameters) == (512, 0x8064, 0x040A, 60, 30)
+    assert table.present_position.decode(b"\x02\x01") == 513
+    units = MODEL_NAMED["SCS0009"].units
+    assert (signed(0x8064, units.speed_sign), signed(0x040A, units.load_sign)) == (-100, -10)
 
 
 # Name of the register: address, size, access, and initial value if the page states one; the EEPROM ends before address 24.
@@ -162,7 +221,7 @@ def test_units_of_currents() -> None:
         ("STS3215", 777, 0.088, 0.732 / 50), ("XL-320", 350, 0.29, 0.111), ("AX-12A", 12, 0.29, 0.111),
         ("AX-18A", 18, 0.29, 0.111), ("AX-12W", 300, 0.29, 0.111), ("RX-28", 28, 0.29, 0.111), ("RX-64", 64, 0.29, 0.111),
         ("MX-64", 310, 0.088, 0.114), ("XC430-W150", 1070, 0.088, 0.229), ("XC430-W240", 1080, 0.088, 0.229),
-        ("XM540-W270", 1120, 0.088, 0.229),
+        ("XM540-W270", 1120, 0.088, 0.229), ("SCS0009", 1284, 0.293, 0.293 / 6),
     ],
 )  # fmt: skip
 def test_units_of_the_manual(name: str, number: int, tick_deg: float, rpm_per_tick: float) -> None:
