@@ -13,7 +13,8 @@ from sextant.shared.scenario.scenario import load_scenario
 from tests.support.families import FAMILIES, robot_with
 
 _LOOK_NS = 500_000_000
-STRONG = [name for name in FAMILIES if name != "XL-320"]  # 0.39 N m are too weak for this robot of 2.4 kg
+STRONG = [name for name in FAMILIES if name not in ("XL-320", "SCS0009")]  # 0.39 and 0.23 N m are too weak for 2.4 kg
+LIGHTEST = Measures(0.03, 0.045, 0.075, 0.06, 0.03, 0.05, 0.5, "SCS0009")
 SMALLEST = Measures(0.03, 0.045, 0.075, 0.07, 0.035, 0.06, 0.75, "XL-320")  # 16.7 g a servo, a Raspberry Pi Zero and two cells
 
 
@@ -46,8 +47,9 @@ def test_robot_walks_with_a_microcontroller_between(name: str, terrain: str, dis
 
 @pytest.mark.rare
 @pytest.mark.parametrize("terrain", ["flat", "steps", "stairs"])
-def test_robot_of_the_smallest_servos_walks_over_courses_of_its_size(terrain: str) -> None:
-    robot = new_profile("smallest", SMALLEST)
+@pytest.mark.parametrize("measures", [SMALLEST, LIGHTEST], ids=["XL-320", "SCS0009"])
+def test_robot_of_the_smallest_servos_walks_over_courses_of_its_size(measures: Measures, terrain: str) -> None:
+    robot = new_profile("smallest", measures)
     course = load_scenario(terrain).scaled(leg_scale(robot))
     walk(robot, course.name, course.goal.distance)
 
