@@ -112,7 +112,7 @@ def test_commissioning_tutorial_runs_as_written(
     bench = BenchEmulator(load_profile("phantomx_mk2"), np.random.default_rng(3))
     np.testing.assert_allclose(own.trims, bench.robot.trims, atol=np.radians(0.3))
     assert {entry.date for entry in own.calibration} <= {date.today(), date.fromordinal(date.today().toordinal() - 1)}
-    status, told = run([*test, "--leg", "left front"], "y", "n")
+    status, told = run([*test, "--leg", "left front"], "y", *"yyy", "n")
     assert status == 0, told
     assert told.endswith("torque is off\n3 of 3 joints are in order\n")
     status, told = run(doctor)

@@ -88,10 +88,11 @@ def calibrate(
 def test(port: str, profile: "RobotProfile", operator: "Operator", legs: tuple[str, ...]) -> int:
     """Move each joint a little, while the operator watches."""
     from sextant.services.actuator.commissioning.pulse_commissioning import run_joint_test
+    from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
 
     with _board(port, profile) as board:
         wrong = run_joint_test(board, profile, operator, time.sleep, legs=legs)
     if wrong is None:
         return FAILED
-    say(f"not in order: {', '.join(wrong)}" if wrong else "all joints are in order")
+    say("not in order:\n  " + "\n  ".join(wrong) if wrong else UNWATCHED if operator.absent else "all joints are in order")
     return FAILED if wrong else SUCCESS

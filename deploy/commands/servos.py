@@ -337,8 +337,12 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
 @_yes
 @option("--torque", "torque state after the test (default: ask, or off with --yes)", type=Choice(("on", "off")))
 def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
-    """Move each joint a few degrees and back, one at a time, with low torque."""
+    """Move each joint a few degrees and back, one at a time, with low torque.
+
+    It asks which way each foot went: no servo measures a wrong sign or a wrong id.
+    """
     from sextant.services.actuator.commissioning.joint_test import run_joint_test
+    from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
     from sextant.shared.robot.profile import LEGS
 
     profile = _profile(bus.robot)
@@ -351,13 +355,14 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
         moved = run_joint_test(opened, profile, Terminal(yes), time.monotonic_ns, legs=legs or LEGS, hold_after=hold)
     if moved is None:
         return FAILED
-    wrong = [one.name for one in moved if one.problem]
+    wrong = [f"{one.name}: {one.problem}" for one in moved if one.problem]
     command = f"camera calibrate --robot {bus.robot}"
     if profile.camera.device == "none":
         command = f"up onboard --robot {bus.robot} --set actuator.port={bus.port}"
     after = "" if legs else f"; next, on a flat floor: `sextant {command}`"
-    after = f"; not: {', '.join(wrong)}" if wrong else after
-    say(f"{len(moved) - len(wrong)} of {len(moved)} joints are in order{after}")
+    after = f"; {UNWATCHED}" if yes else after
+    after = "; not:\n  " + "\n  ".join(wrong) if wrong else after
+    say(f"{len(moved) - len(wrong)} of {len(moved)} joints {'turn and return' if yes else 'are in order'}{after}")
     return FAILED if wrong else SUCCESS
 
 

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sextant.services.actuator.commissioning.limited_motion import TORQUE_SHARE, get, hold, limited_motion, put, ready, silent
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
+from sextant.services.actuator.commissioning.watched_motion import AGAIN, seen_problem, way_in_words
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse, health_problem, retry, scan_servo
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
@@ -51,14 +52,14 @@ def run_joint_test(
     legs: Sequence[str] = LEGS,
     hold_after: bool | None = False,
 ) -> list[Moved] | None:
-    """Test the joints of legs one at a time, once the operator has agreed.
+    """Test the joints of legs one at a time, once the operator has agreed, who says of each which way it moved.
 
     Return None if nothing was moved.
 
     Args:
         bus: The robot's servos.
         profile: The robot.
-        operator: Receives the result of each joint.
+        operator: Receives the result of each joint, and watches it.
         clock: Monotonic time [ns], the clock of the bus.
         legs: Legs to test.
         hold_after: Whether torque is on at the end, with the legs holding their positions; None asks.
@@ -77,14 +78,22 @@ def run_joint_test(
     ):
         operator.say("nothing was moved, torque is off")
         return None
-    moved = []
+    moved: list[Moved] = []
     with torque_off_if_interrupted(bus, operator):
         for leg in legs:
-            for joint in range(len(JOINTS)):
-                moved.append(move(bus, profile, clock, LEGS.index(leg), joint))
-                operator.say(str(moved[-1]))
+            moved += (_watched(bus, profile, operator, clock, LEGS.index(leg), joint) for joint in range(len(JOINTS)))
         _leave(bus, operator, hold_after)
     return moved
+
+
+def _watched(bus: AnyBus, profile: RobotProfile, operator: Operator, clock: Callable[[], int], leg: int, joint: int) -> Moved:
+    """Move one joint until the operator has seen it."""
+    while True:
+        found = move(bus, profile, clock, leg, joint)
+        operator.say(str(found))
+        seen = seen_problem(operator, profile, leg, joint, found.way)
+        if seen != AGAIN:
+            return replace(found, problem=found.problem or seen)
 
 
 def move(bus: AnyBus, profile: RobotProfile, clock: Callable[[], int], leg: int, joint: int) -> Moved:
@@ -109,7 +118,7 @@ def move(bus: AnyBus, profile: RobotProfile, clock: Callable[[], int], leg: int,
     asked, moved, left = sign * np.degrees(np.array([up * sign * step, there - start, back - start]) * units.tick_rad)
     return Moved(
         name=profile.servo_names[servo_id],
-        way=_words(profile, leg, joint, up),
+        way=way_in_words(profile, leg, joint, up),
         asked_deg=float(asked),
         moved_deg=float(moved),
         back_deg=float(left),
@@ -161,14 +170,6 @@ def _way(profile: RobotProfile, leg: int, joint: int, start: float) -> tuple[int
     servo = np.tile(start, (len(LEGS), len(JOINTS)))
     q = profile.joint_angles(servo)[leg, joint]
     return sign, 1 if q + np.radians(STEP_DEG) <= profile.joint_limits[leg, joint, 1] else -1
-
-
-def _words(profile: RobotProfile, leg: int, joint: int, up: int) -> str:
-    """Return the direction of the foot's motion, as seen from next to the robot."""
-    if JOINTS[joint] != "coxa":
-        return "up" if up > 0 else "down"
-    ahead = -np.sin(np.radians(profile.legs[leg].neutral_yaw_deg)) * up  # the coxa turns about the body's z axis
-    return "forward" if ahead > 0 else "backward"
 
 
 def _leave(bus: AnyBus, operator: Operator, hold_after: bool | None) -> None:

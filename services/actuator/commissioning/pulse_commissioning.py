@@ -13,6 +13,7 @@ import numpy as np
 
 from sextant.services.actuator.commissioning.calibration import implausible, see_pose, trims_deg
 from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.watched_motion import AGAIN, seen_problem, way_in_words
 from sextant.services.actuator.servo_bus.bus_driver import open_port
 from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
 from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
@@ -201,15 +202,25 @@ def _send(servos: PwmServos, channel: int, angle_deg: float) -> float:
     return float(np.degrees(units.angle(ticks)))
 
 
+def _turn(servos: PwmServos, channel: int, start: float, turn: float, pause: Callable[[float], None]) -> None:
+    """Send a servo from an angle [deg] by a turn [deg] and back, then end its pulses."""
+    _send(servos, channel, start)
+    pause(1.0)
+    for share in (*np.linspace(0.0, 1.0, _STEPS), *np.linspace(1.0, 0.0, _STEPS)):
+        _send(servos, channel, start + turn * float(share))
+        pause(0.02)
+    servos.write(channel, servos.model.table.torque_enable, 0)
+
+
 def run_joint_test(
     servos: PwmServos, profile: RobotProfile, operator: Operator, pause: Callable[[float], None], *, legs: Sequence[str]
 ) -> list[str] | None:
-    """Move each joint by some degrees and back; return those that the operator has not seen moving, None if nothing was moved.
+    """Move each joint by some degrees and back; return what the operator has seen to be wrong, None if nothing was moved.
 
     Args:
         servos: The robot's servos.
         profile: The robot.
-        operator: Says of each joint whether it has moved.
+        operator: Says of each joint whether it has moved, and which way.
         pause: Waits for some seconds.
         legs: Legs to test.
 
@@ -231,16 +242,15 @@ def run_joint_test(
         for name in legs:
             leg = LEGS.index(name)
             for joint, words in enumerate(JOINTS):
-                channel, start = int(profile.servo_ids[leg, joint]), float(straight[leg, joint])
-                up = 1.0 if np.radians(STEP_DEG) <= profile.joint_limits[leg, joint, 1] else -1.0
-                _send(servos, channel, start)
-                pause(1.0)
-                for share in (*np.linspace(0.0, 1.0, _STEPS), *np.linspace(1.0, 0.0, _STEPS)):
-                    _send(servos, channel, start + up * int(profile.servo_signs[leg, joint]) * STEP_DEG * float(share))
-                    pause(0.02)
-                servos.write(channel, servos.model.table.torque_enable, 0)
-                if not operator.agree(f"{name} {words}: did it turn and return, and no other joint?"):
-                    wrong.append(f"{name} {words}")
+                up = 1 if np.radians(STEP_DEG) <= profile.joint_limits[leg, joint, 1] else -1
+                way = way_in_words(profile, leg, joint, up)
+                angles = float(straight[leg, joint]), up * int(profile.servo_signs[leg, joint]) * STEP_DEG
+                seen = AGAIN
+                while seen == AGAIN:
+                    _turn(servos, int(profile.servo_ids[leg, joint]), *angles, pause)
+                    seen = seen_problem(operator, profile, leg, joint, way)
+                if seen:
+                    wrong.append(f"{name} {words}: {seen}")
     finally:
         servos.set_torque(False)
     operator.say("torque is off")

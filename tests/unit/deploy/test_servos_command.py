@@ -18,6 +18,7 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.commands import servos
 from sextant.services.actuator.commissioning import joint_test
+from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.servo_bus import bus_driver
@@ -213,7 +214,7 @@ def test_complete_joint_test_names_the_next_step(
         ("phantomx_mk2", "camera calibrate --robot phantomx_mk2"),
         (f"{blind}", f"up onboard --robot {blind} --set actuator.port={url}"),
     ):
-        assert cli.main(["servos", "test", "--port", url, "--yes", "--robot", robot]) == 0
+        assert cli.main(["servos", "test", "--port", url, "--robot", robot]) == 0
         last = capsys.readouterr().out.splitlines()[-1]
         assert last == f"18 of 18 joints are in order; next, on a flat floor: `sextant {command}`"
 
@@ -225,7 +226,7 @@ def test_torque_after_joint_test_follows_option(
 ) -> None:
     words = ["servos", "test", "--port", url, "--yes", "--leg", LEGS[0], *(["--torque", torque] if torque else [])]
     assert cli.main(words) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "3 of 3 joints are in order"
+    assert capsys.readouterr().out.splitlines()[-1] == f"3 of 3 joints turn and return; {UNWATCHED}"
     assert cli.main(["servos", "scan", "--port", url, "--ids", "1:2"]) == 0  # time goes on: the written data arrive
     assert (bench._servos.tables[:, dxl.TORQUE_ENABLE.address] == left).all()
 

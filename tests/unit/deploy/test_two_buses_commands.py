@@ -123,7 +123,7 @@ def test_test_moves_joints_of_both_buses(
 ) -> None:
     monkeypatch.setattr(joint_test, "_WAY_NS", 300_000_000)
     assert run("test", "--yes", "--leg", "left front", "--leg", "right front") == 0
-    assert "6 of 6 joints are in order" in capsys.readouterr().out
+    assert "6 of 6 joints turn and return" in capsys.readouterr().out
 
 
 def test_set_id_finds_all_servos_of_both_buses_set(robot: RobotProfile, line: Line, capsys: pytest.CaptureFixture[str]) -> None:

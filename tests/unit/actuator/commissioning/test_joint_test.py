@@ -4,16 +4,19 @@ Joints that do not move, are overloaded or report an error are named.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
-from sextant.shared.robot.profile import JOINTS, LEGS
+from sextant.services.actuator.commissioning.watched_motion import way_in_words
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.servo_model import Register
 from tests.support.builder import Answer, Builder
-from tests.support.desk import Desk
+from tests.support.desk import PHANTOMX, Desk
 
 TORQUE_LIMIT, MOVING_SPEED = 300, 30  # 30 % of the torque, 20 deg/s
 
@@ -39,8 +42,38 @@ class Watched(Desk):
         self.bench.receive = noted  # type: ignore[method-assign,assignment]
 
 
+class Agreeing(Builder):
+    """A builder who sees each joint move as it should."""
+
+    def ask(self, question: str) -> str:
+        self.asked.append(question)
+        return "y"
+
+
+class Watching(Builder):
+    """A builder who says of each joint how the foot of the real robot went."""
+
+    def __init__(self, desk: Watched, real: RobotProfile) -> None:
+        super().__init__([True])
+        self._desk, self._real = desk, real
+
+    def ask(self, question: str) -> str:
+        self.asked.append(question)
+        name, _, way = question.partition(" and back")[0].partition(": did the ")
+        said = way.rpartition(" ")[2]
+        turned = np.array(self._desk.q) - self._desk.q[0]
+        furthest = turned[np.abs(turned).max(axis=1).argmax()]
+        self._desk.q.clear()
+        row = int(np.abs(furthest).argmax())
+        leg, joint = divmod(row, 3)
+        if name != f"{LEGS[leg]} {JOINTS[joint]}":
+            return "a"
+        up = 1 if furthest[row] * self._real.servo_signs[leg, joint] > 0 else -1
+        return "y" if said == way_in_words(self._real, leg, joint, up) else "w"
+
+
 def run(desk: Desk, answers: list[Answer], **options: object):  # type: ignore[no-untyped-def]
-    builder = Builder(answers)
+    builder = Agreeing(answers)
     return run_joint_test(desk.bus(), desk.profile, builder, desk.clock, **options), builder  # type: ignore[arg-type]
 
 
@@ -133,6 +166,37 @@ def test_torque_is_off_after_interrupt_during_motion() -> None:
     assert (words[:, 16] == 0).all()
 
 
+@pytest.mark.slow
+def test_wrong_sign_and_exchanged_ids_are_found_by_who_watches() -> None:
+    """Check a robot whose left front femur is reversed, and whose coxae of the middle legs have each other's ids."""
+    desk, legs = Watched(), list(PHANTOMX.legs)
+    coxa, femur, tibia = legs[0].servo_signs
+    legs[0] = replace(legs[0], servo_signs=(coxa, -femur, tibia))
+    (a, *others), (b, *more) = legs[2].servo_ids, legs[5].servo_ids
+    legs[2], legs[5] = replace(legs[2], servo_ids=(b, *others)), replace(legs[5], servo_ids=(a, *more))
+    wrong = replace(PHANTOMX, legs=tuple(legs))  # type: ignore[arg-type]
+    bus = ServoBus(desk.open(), list(wrong.servo_names), desk.clock, model=wrong.servo_model, names=wrong.servo_names)
+    builder = Watching(desk, PHANTOMX)
+    moved = run_joint_test(bus, wrong, builder, desk.clock)
+    assert moved is not None
+    problems = {one.name: one.problem for one in moved if one.problem}
+    assert list(problems) == ["left front femur", "right middle coxa", "left middle coxa"]
+    assert "change the sign of the femur in the leg's servo_signs" in problems["left front femur"]
+    assert f"another joint moved, which has id {b}" in problems["right middle coxa"]
+
+
+def test_motion_is_repeated_until_it_is_seen_and_not_asked_of_an_absent_operator() -> None:
+    desk = Watched()
+    builder = Builder([True, "r", "what?", "y", "n", "y"])
+    moved = run_joint_test(desk.bus(), desk.profile, builder, desk.clock, legs=LEGS[:1])
+    assert moved is not None
+    assert [one.problem for one in moved] == ["", "did not move", ""]
+    assert [question.partition(":")[0] for question in builder.asked[1:4]] == ["left front coxa"] * 3
+    assert "one of y, w, a, n and r expected" in builder.told
+    absent = Builder([True], absent=True)
+    assert run_joint_test(desk.bus(), desk.profile, absent, desk.clock, legs=LEGS[:1]) is not None
+
+
 def interrupt_joint_test(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer], hold_after: bool) -> Builder:
     """Raise Ctrl-C at the first packet for which `when` is true; return the builder."""
     receive = desk.bench.receive
@@ -144,7 +208,7 @@ def interrupt_joint_test(desk: Desk, when: Callable[[bytes], bool], answers: lis
         return receive(data, now_ns)  # type: ignore[return-value]
 
     desk.bench.receive = interrupted  # type: ignore[method-assign,assignment]
-    builder = Builder(answers)
+    builder = Agreeing(answers)
     with pytest.raises(KeyboardInterrupt):
         run_joint_test(desk.bus(), desk.profile, builder, desk.clock, legs=LEGS[:1], hold_after=hold_after)
     desk.settle()
