@@ -45,6 +45,7 @@ _UNMATCHED = 2.0  # for a pair, from which several joints are off
 _PREDICTED = 0.6  # [1] largest unpredicted share: what earlier stances do not predict are feet that slide, not horns
 _SLOWER = 0.6  # [1] share of the nominal speed
 _REMEMBERED_STANCES = 6  # for which a lie, a slip or a weakness is remembered; a weak leg hangs, so these stances prove nothing
+_MISTAKEN = "or a servo of any leg turns the wrong way or has another one's id: run `sextant servos test`"
 _CALIBRATE = "run `sextant camera calibrate`, which measures all horns"
 
 
@@ -227,9 +228,11 @@ class LegMonitor:
             self.deviation, self._deviates_rad = f"{named}: {_CALIBRATE}", best.size
 
     def _slipped(self, slips: Sequence[Slip]) -> str:
-        """Return which horn has slipped."""
-        size = abs(math.degrees(slips[0].size))
-        return self._named(slips, f"has slipped by about {size:.0f} deg, an encoder is off, or the foot slides")
+        """Return which horn has slipped; before any usual stances, servos may also be assembled or named wrongly."""
+        size = abs(slips[0].size)
+        words = self._named(slips, f"has slipped by about {math.degrees(size):.0f} deg, an encoder is off, or the foot slides")
+        is_new = size >= _SLIP_RAD and self.offsets.pairs < _LASTING_PAIRS
+        return f"{words}, {_MISTAKEN}" if is_new else words
 
     def _named(
         self, slips: Sequence[Slip], words: str, other_leg: float = _OTHER_LEG, other_joint: float = _OTHER_JOINT

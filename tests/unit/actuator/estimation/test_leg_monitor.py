@@ -74,6 +74,18 @@ def test_slip_in_the_air_stops_the_robot_within_four_steps_and_no_other_leg_is_n
     assert "has slipped by about" in monitor.stop
 
 
+def test_large_slip_in_the_first_steps_may_also_be_a_servo_with_a_wrong_sign_or_another_id() -> None:
+    """Check the advice: the fit blames a horn, and perhaps of a healthy leg, if a servo has never been where it should be."""
+    fresh = LegMonitor(PROFILE)
+    for number in range(4):
+        step(fresh, number, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    assert "a servo of any leg turns the wrong way or has another one's id: run `sextant servos test`" in fresh.warning
+    later = walked()
+    step(later, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    assert "has slipped by about" in later.warning
+    assert "servos test" not in later.warning
+
+
 def test_horn_that_is_off_from_the_start_is_named_without_slowing_the_robot() -> None:
     assert walked(20).deviation == ""
     ahead = walked(20, one(COXA_OF_LEFT_FRONT, 4.0)).deviation
