@@ -79,6 +79,7 @@ class Simulator:
         self.max_age_s = {BEAT: _STALE_NS * 1e-9}
         self.stages = Stages()
         scenario = load_scenario(settings.scenario) if scenario is None else scenario
+        self._robot = profile.name  # of the services, which do not know the real robot
         if scenario.real_robot:
             profile = load_profile(scenario.real_robot)
         self._profile = profile
@@ -359,5 +360,5 @@ class Simulator:
             temperature=float(self._bank.temperature.max()),
             scenario=self._scenario.name,
             seed=self._settings.seed,
-            robot=self._profile.name,
+            robot=self._robot,
         )

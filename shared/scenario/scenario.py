@@ -265,7 +265,7 @@ class Scenario:
     start: Start = field(default_factory=Start)
     robot: str = "phantomx_mk2"  # profile, by name or by the path of a TOML file
     # Profile of the simulated robot, if it is not `robot`: the robot's services then work with a profile of another robot, such
-    # as a calibrated one. The deviations of `mismatch` are relative to it.
+    # as a calibrated one, or with a mistake. Reports name `robot`. The deviations of `mismatch` are relative to it.
     real_robot: str = ""
     walk: Walk = field(default_factory=Walk)
     camera: CameraOptions = field(default_factory=CameraOptions)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,6 +99,14 @@ def test_camera_fault_of_scenario_starts_and_ends_in_time(kind: str) -> None:
     states = [m for m in made if isinstance(m, CameraState)]
     assert {m.ok for m in states} == ({True, False} if kind == "absent" else {True})
     assert states[-1].ok
+
+
+def test_real_robot_of_another_name_is_simulated_under_the_name_that_the_services_know(tmp_path: Path) -> None:
+    """Check that a scorer, which knows the scenario's robot only, takes the run for its own."""
+    (tmp_path / "real.toml").write_text('extends = "phantomx_mk2"\nname = "another"\n[stance]\nbody_height = 0.12\n')
+    sim = Simulator(PROFILE, Settings(seed=0), replace(FLAT, real_robot=str(tmp_path / "real.toml")))
+    assert {m.robot for m in run(sim, 100 * MS) if isinstance(m, GroundTruth)} == {PROFILE.name}
+    assert sim._profile.name == "another"
 
 
 def test_imu_is_published_only_if_scenario_has_one() -> None:
