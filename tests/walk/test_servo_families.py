@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
+from sextant.evaluation.robot_check.slowed_robot import slow_down
 from sextant.shared.robot.new_profile import Measures, new_profile
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
@@ -13,6 +14,7 @@ from sextant.shared.scenario.scenario import load_scenario
 from tests.support.families import FAMILIES, robot_with
 
 _LOOK_NS = 500_000_000
+_TROUBLE_NS = 100_000_000  # [ns] of simulated time, for which the actuator states a trouble at least
 STRONG = [name for name in FAMILIES if name not in ("XL-320", "SCS0009")]  # 0.39 and 0.23 N m are too weak for 2.4 kg
 LIGHTEST = Measures(0.03, 0.045, 0.075, 0.06, 0.03, 0.05, 0.5, "SCS0009")
 SMALLEST = Measures(0.03, 0.045, 0.075, 0.07, 0.035, 0.06, 0.75, "XL-320")  # 16.7 g a servo, a Raspberry Pi Zero and two cells
@@ -89,3 +91,17 @@ def test_light_robot_with_strong_servos_feels_level_ground(name: str) -> None:
     report = run.attendance.judge(1.0, in_a_hurry=True)
     assert report.success, report.reason
     assert report.speed_mps > 0.75 * robot.stance.max_speed
+
+
+@pytest.mark.parametrize("name", ["STS3215", "LX-16A"])
+def test_small_robot_with_stiff_servos_does_not_miss_level_ground(name: str) -> None:
+    """Check the measures of docs/your_robot.md: legs that take up less than a millimetre, feet near their femur axes."""
+    robot = slow_down(new_profile("small", Measures(0.045, 0.06, 0.11, 0.085, 0.045, 0.07, 1.6, name)))
+    flat = load_scenario("flat")
+    run = LockstepRun(replace(flat, goal=replace(flat.goal, distance=0.9)), 1000, robot)
+    said = set()
+    while not run.attendance.over():
+        run.run(run.now_ns() + _TROUBLE_NS)
+        said.add(run.service("actuator").status())
+    assert run.attendance.judge(1.0, in_a_hurry=True).success
+    assert not [words for words in said if "ground" in words or "off by" in words]

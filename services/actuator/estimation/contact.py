@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.params import ContactParams
 from sextant.shared.geometry import Array
+from sextant.shared.robot.kinematics import link_torques
 from sextant.shared.robot.profile import RobotProfile
 
 _MIN_LEGS = 3  # minimum number of carrying feet that can support the body
@@ -30,6 +31,8 @@ class ContactEstimate:
         self._profile, self._params = profile, params or ContactParams()
         self._mass_ratio = min(1.0, profile.body.total_mass / _REFERENCE_MASS_KG)
         self._force = np.zeros(6)  # (6,) [N] smoothed upward ground forces
+        self._bearing = np.zeros(6)  # (6,) [N] the same without what moves and holds the leg, and what friction may be of it
+        self._q_last: Array | None = None  # (6, 3) [rad] of the last update
         self.legs: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # (6,) in contact
 
     def update(self, q: Array, torque: Array, dt: float) -> NDArray[np.bool_]:
@@ -39,7 +42,9 @@ class ContactEstimate:
         """
         legs = zip(q.tolist(), torque.tolist(), strict=True)
         force = np.array([self._ground_force(*angles[1:], *torques[1:]) for angles, torques in legs])
-        self._force += (1.0 - math.exp(-dt / self._params.smoothing_s)) * (force - self._force)
+        share = 1.0 - math.exp(-dt / self._params.smoothing_s)
+        self._force += share * (force - self._force)
+        self._bearing += share * (self._borne(q, torque, dt) - self._bearing)
         touch_n, lift_n = self._mass_ratio * self._params.touch_n, self._mass_ratio * self._params.lift_n
         self.legs = np.where(self.legs, self._force > lift_n, self._force > touch_n)
         return self.legs
@@ -55,6 +60,28 @@ class ContactEstimate:
         knee = links.femur * links.tibia * math.sin(tibia)
         knee = math.copysign(max(abs(knee), _MIN_DETERMINANT_M2), knee)
         return ((links.femur * math.sin(femur) + tibia_z) * tibia_torque - tibia_z * femur_torque) / knee
+
+    def _borne(self, q: Array, torque: Array, dt: float) -> Array:
+        """Return the least upward ground forces (6,) [N] that damping, dry friction and the weight of the links leave."""
+        servos, last = self._profile.servos, q if self._q_last is None else self._q_last
+        self._q_last = q.copy()
+        left = torque - servos.damping * (q - last) / dt - link_torques(self._profile, q)
+        legs = zip(q.tolist(), left.tolist(), servos.friction.tolist(), strict=True)
+        return np.array([self._least_force(*angles[1:], *torques[1:], *friction[1:]) for angles, torques, friction in legs])
+
+    def _least_force(self, femur: float, tibia: float, femur_torque: float, tibia_torque: float, *friction: float) -> float:
+        """Return the upward ground force [N] less that which the dry friction [N m] of femur and tibia may feign."""
+        by_femur, by_tibia = (self._ground_force(femur, tibia, *one) for one in ((1.0, 0.0), (0.0, 1.0)))  # [1/m]
+        feigned = abs(by_femur) * friction[0] + abs(by_tibia) * friction[1]
+        return by_femur * femur_torque + by_tibia * tibia_torque - feigned
+
+    @property
+    def stands(self) -> NDArray[np.bool_]:
+        """(6,) legs that push the ground by femur and tibia, less what may be friction; horizontal forces do not hide it.
+
+        The femur alone does not show that a foot stands if the ground also pushes it towards the body.
+        """
+        return np.asarray(self._bearing > self._mass_ratio * self._params.stands_n)
 
     @property
     def firm(self) -> NDArray[np.bool_]:

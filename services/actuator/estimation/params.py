@@ -33,6 +33,7 @@ class ContactParams(Params):
     touch_n: float = ranged(1.5, 0.1, 100.0)  # [N] contact begins
     lift_n: float = ranged(0.8, 0.0, 100.0)  # [N] contact ends
     firm_n: float = ranged(3.0, 0.1, 100.0)  # [N] certain contact: above what friction and link weight cause in legs at rest
+    stands_n: float = ranged(1.0, 0.1, 100.0)  # [N] push beyond friction that proves that a foot stands
     smoothing_s: float = ranged(0.08, 0.001, 2.0)  # [s] time constant
     lifted_m: float = ranged(0.006, 0.0, 0.1)  # [m] over the plane of the supporting feet, from which a foot is in the air
 

@@ -108,6 +108,7 @@ class StateEstimator:
             bears=touchdown.bears | touchdown.silent(bus_ns) | without_torque,
             feet=apply(T_odom_body, feet),
             pushes=self.contact.firm,
+            stands=self.contact.stands,
             lifts_body=self.gravity.lifts_body(T_odom_body, feet, awaiting, now_ns),
             may_bear=touchdown.may_bear,
             known=known,

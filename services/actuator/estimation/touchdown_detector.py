@@ -36,6 +36,7 @@ class FootContact:
     bears: NDArray[np.bool_]  # (6,) feet that stand on something
     feet: Array  # (6, 3) [m] {odom} measured foot centres
     pushes: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) legs that push the ground; valid at low speed
+    stands: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) legs that push by femur and tibia, at rest
     lifts_body: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
     may_bear: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading confirms it
     known: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) feet with known position

@@ -50,14 +50,14 @@ class GroundContacts:
         self._landed = legs.copy()
 
     def prove(self, felt: FootContact, candidates: NDArray[np.bool_]) -> None:
-        """Note legs (6,) of the candidates that carry load while others are unloaded.
+        """Note legs (6,) of the candidates that carry load while others are unloaded."""
+        self.accept(felt.bears & ~self.proven & candidates, felt)
 
-        A foot that is only assumed to stand yields no finding.
-        """
-        proven = felt.bears & ~self.proven & candidates
-        if np.count_nonzero(proven):
-            self.proven |= proven
-            self._find(proven & felt.known, felt.feet, carries=True)
+    def accept(self, legs: NDArray[np.bool_], felt: FootContact) -> None:
+        """Note legs (6,) that stand; a foot that is only assumed to stand yields no finding."""
+        if np.count_nonzero(legs):
+            self.proven |= legs
+            self._find(legs & felt.known, felt.feet, carries=True)
 
     def survey(self, dt: float, felt: FootContact) -> None:
         """Measure at rest the height of feet that have just met ground.
@@ -94,6 +94,11 @@ class GroundContacts:
         self._surveyed[legs] = 0.0
         self.stopped |= legs
         self._find(legs, feet_odom, carries=True)
+
+    def lower(self, depth: Array) -> None:
+        """Note feet that stand lower by depths (6,) [m] than where they were set down."""
+        self.ground -= depth
+        self.met[:, 2] -= depth
 
     def release(self, legs: NDArray[np.bool_]) -> None:
         """No longer hold legs (6,) where they met something."""

@@ -14,10 +14,10 @@ _PUSHED_DOWN_M = 0.005  # [m] of search after which the load of all joints of th
 class GroundSearch:
     """Feet that move down until they meet ground."""
 
-    def __init__(self, legs: NDArray[np.bool_], stop_height: Array):
-        """Begin with legs (6,) that were stopped at heights (6,) [m] over their targets."""
+    def __init__(self, legs: NDArray[np.bool_], stop_height: Array, depth: float = 0.0):
+        """Begin with legs (6,) that were stopped at heights (6,) [m] over their targets, at a depth [m]."""
         self.legs = legs.copy()  # (6,) legs that still search
-        self.depth = 0.0  # [m] below the heights at which the feet stood
+        self.depth = depth  # [m] below the heights at which the feet stood
         self._reach = SEARCH_DEPTH_M + stop_height  # (6,) [m] largest depth of each
 
     def update(self, felt: FootContact) -> NDArray[np.bool_]:

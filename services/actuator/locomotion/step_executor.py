@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.estimation.touchdown_detector import FootContact
 from sextant.services.actuator.locomotion.body_trajectory import LEVEL, BodyTrajectory
+from sextant.services.actuator.locomotion.foot_press import FootPress
 from sextant.services.actuator.locomotion.ground_contacts import Finding, GroundContacts
 from sextant.services.actuator.locomotion.ground_search import SEARCH_DEPTH_M, GroundSearch
 from sextant.services.actuator.locomotion.held_feet import HeldFeet
@@ -80,6 +81,7 @@ class StepExecutor:
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
         self._contacts = GroundContacts(self._feet, self._feet[:, 2] if ground is None else ground)
         self._held = HeldFeet()
+        self._press = FootPress()
         self._share = np.ones(6)  # share of its load that each leg may carry
         self._running: RunningStep | None = None
         self._next: StepPlan | None = None
@@ -165,6 +167,11 @@ class StepExecutor:
     def searching(self) -> NDArray[np.bool_]:
         """(6,) legs that search for ground below their footholds."""
         return np.zeros(6, dtype=bool) if self._search is None else self._search.legs.copy()
+
+    @property
+    def pressing(self) -> NDArray[np.bool_]:
+        """(6,) legs that press down a little, because they have not proven that they stand."""
+        return self._press.legs.copy()
 
     @property
     def is_searching(self) -> bool:
@@ -341,14 +348,16 @@ class StepExecutor:
         body.follow(dt, T_odom_body)
         self._posture.update(dt, body.level_error(T_odom_body), body.to_body(self._feet), self._share)
         if felt is not None:
-            self._contacts.prove(felt, ~self.flying & ~self.searching)
+            self._contacts.prove(felt, ~self.flying & ~self.searching & ~self.pressing)
         if self._running is None:
+            self._press.stop()
             self._rest(dt, felt)
         else:
             self._advance(dt * pace if self.gentle else dt, self._running, felt)
         self._contacts.settle(self._feet, dt)
         level = rotation_from_rpy(body.xyz_rpy[3:] * LEVEL)
-        return Targets(body.to_body(self._posture.lowered(self._feet)), self._share.copy(), level)
+        feet = self._press.lowered(self._posture.lowered(self._feet), dt)
+        return Targets(body.to_body(feet), self._share.copy(), level)
 
     def _begin(self, plan: StepPlan) -> RunningStep:
         self._running, self._next = RunningStep(plan, self._settings.unload_s, self._settings.load_s), None
@@ -375,8 +384,11 @@ class StepExecutor:
             unproven = ~plan.swing & ~self._contacts.proven
             # Gentle legs carry no load that others had to take.
             if felt is not None and np.count_nonzero(unproven) and not running.gentle:
-                if running.wait.is_over(unproven, felt, running.elapsed_s - before):
-                    self._abort(unproven)
+                if self._press.legs.any():
+                    self._press_down(dt, felt)
+                elif running.wait.is_over(unproven, felt, running.elapsed_s - before):
+                    self._contacts.accept(unproven & felt.stands, felt)
+                    self._press.begin(unproven & ~felt.stands)
                 running.elapsed_s = before
                 self._body.pause()
                 return
@@ -476,9 +488,20 @@ class StepExecutor:
         The others stand meanwhile.
         """
         self._running, self._next, self.phase = None, None, 1.0
-        self._search = GroundSearch(legs, self._contacts.stop_height)
+        depth = self._press.hand_over(legs)
+        self._feet[:, 2] -= depth
+        self._search = GroundSearch(legs, self._contacts.stop_height, float(depth.max()))
         self._contacts.release(legs)  # they were not stopped by ground: no longer hold them there
         self.trouble = f"no ground under the {_names(legs)} foot at the expected height; the foot reaches down"
+
+    def _press_down(self, dt: float, felt: FootContact) -> None:
+        """Press feet down that have not proven that they stand; they search if that is in vain."""
+        found, lower = self._press.update(dt, felt)
+        self._feet[:, 2] -= lower
+        self._contacts.lower(lower)
+        self._contacts.accept(found, felt)
+        if self._press.is_in_vain:
+            self._abort(self._press.legs)
 
     def _search_down(self, dt: float, search: GroundSearch, felt: FootContact) -> None:
         """Lower feet that search for ground; they stay on contact.

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.estimation.contact import ContactEstimate
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
-from sextant.shared.robot.kinematics import body_inverse, joint_torques
-from sextant.shared.robot.profile import GRAVITY
+from sextant.shared.robot.kinematics import body_inverse, joint_torques, link_torques
+from sextant.shared.robot.profile import GRAVITY, RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from tests.support.families import robot_with
 
 Flags = NDArray[np.bool_]
 
@@ -68,6 +69,44 @@ def test_contact_has_hysteresis() -> None:
     assert rising[-1]
     assert not falling[0]
     assert sum(falling) > sum(rising)
+
+
+SMALL = robot_with("STS3215")
+
+
+def stands(profile: RobotProfile, force: Array, friction: float = 0.0, q_rate: float = 0.0) -> Flags:
+    """Return which legs prove that they stand under ground forces (6, 3) [N].
+
+    Dry friction is a share of that of the servos, and all femora turn by `q_rate` [rad/s] against their damping.
+    """
+    estimate, servos = ContactEstimate(profile), profile.servos
+    q = body_inverse(profile, profile.rest_feet())
+    turn = np.array([0.0, q_rate, 0.0]) * DT
+    torque = joint_torques(profile, q, force) + link_torques(profile, q) + servos.damping * turn / DT
+    for k in range(40):
+        estimate.update(q + k * turn, torque + friction * servos.friction, DT)
+    return estimate.stands
+
+
+@pytest.mark.parametrize("profile", [PROFILE, SMALL], ids=lambda one: one.name)
+def test_push_towards_the_body_does_not_hide_that_a_foot_stands(profile: RobotProfile) -> None:
+    """Check half of the load of a tripod's leg, with and without a horizontal push and friction."""
+    weight = profile.body.total_mass * GRAVITY
+    inwards = -profile.T_body_coxa[:, :3, 0]
+    for push in (0.0, 0.7):
+        force = weight / 6 * (np.array([0.0, 0.0, 1.0]) + push * inwards)
+        for friction in (0.0, 0.5):
+            assert stands(profile, force, friction).all()
+
+
+@pytest.mark.parametrize("profile", [PROFILE, SMALL], ids=lambda one: one.name)
+def test_leg_in_the_air_does_not_prove_that_it_stands(profile: RobotProfile) -> None:
+    nothing = np.zeros((6, 3))
+    for friction in (-1.0, 0.0, 1.0):
+        assert not stands(profile, nothing, friction).any()
+    assert not stands(profile, nothing, q_rate=-0.2).any(), "damping is none of the ground's push"
+    still = ContactEstimate(profile)
+    assert not still.stands.any()
 
 
 def test_single_outlier_does_not_end_contact() -> None:

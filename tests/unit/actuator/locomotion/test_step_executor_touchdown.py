@@ -145,8 +145,8 @@ def walk_over_holes(
         if waiting and walker.resting:
             walker.accept(waiting.pop(0))
         rest_s -= DT if walker.resting and not waiting else 0.0
-        feet, bears = walker.feet_odom, ~walker.swing
-        touches = walker.searching
+        bears, touches = ~walker.swing, walker.searching | walker.pressing
+        feet = apply(walker.body_ref, targets[-1].feet) if walker.pressing.any() else walker.feet_odom
         for leg, depth in holes.items():
             stands = feet[leg, 2] <= foothold[leg] - depth
             bears[leg] &= stands or feet[leg, 0] < plans[0].touchdown[leg, 0] - 0.02  # back where it came from
@@ -169,7 +169,23 @@ def test_loaded_feet_follow_the_plan() -> None:
     assert said[-1] == [""]
 
 
-@given(st.floats(0.004, 0.036), st.sampled_from([0, 2, 4]))
+@given(st.floats(0.001, 0.005), st.sampled_from([0, 2, 4]))
+@settings(max_examples=10)
+def test_foot_a_little_above_the_ground_presses_down_and_the_step_goes_on(depth: float, leg: int) -> None:
+    walker = new_walker()
+    targets, said = walk_over_holes(walker, {leg: depth}, STEPS_2)
+    assert {words for (words,) in said} == {""}
+    low = float(STEPS_2[0].touchdown[leg, 2])
+    lowest = min(float(apply(START, one.feet)[leg, 2]) for one in targets)
+    assert lowest <= low - depth
+    assert low - depth - 1e-9 <= walker.feet_odom[leg, 2] <= low, "where it stands is not lower than the ground"
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
+    assert walker.step == 2
+    assert not walker.pressing.any()
+    np.testing.assert_allclose(walker.feet_odom[~TRIPOD], STEPS_2[1].touchdown[~TRIPOD], atol=1e-6)
+
+
+@given(st.floats(0.008, 0.036), st.sampled_from([0, 2, 4]))
 @settings(max_examples=10)
 def test_foot_reaches_down_to_lower_ground_before_others_lift(depth: float, leg: int) -> None:
     walker = new_walker()
@@ -187,8 +203,8 @@ def test_foot_reaches_down_to_lower_ground_before_others_lift(depth: float, leg:
     np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # no other leg was lifted
 
 
-def cycles_until_step_is_aborted(leg: int, leans: bool, bears_from: int, unheard: int = 0) -> int | None:
-    """Return the cycles of waiting for a leg before the step is called off, or None.
+def cycles_until_leg_presses(leg: int, leans: bool, bears_from: int, unheard: int = 0) -> int | None:
+    """Return the cycles of waiting for a leg before it presses down, or None.
 
     The leg leans, or bears from cycle `bears_from` on. During the first `unheard` cycles its servo does not answer.
     """
@@ -202,7 +218,7 @@ def cycles_until_step_is_aborted(leg: int, leans: bool, bears_from: int, unheard
         walker.update(
             DT, walker.body_ref, FootContact(~ALL, bears, walker.feet_odom, may_bear=feels, heard=ALL & (waited > unheard))
         )
-        if walker.searching.any():
+        if walker.pressing.any():
             return waited
     return None
 
@@ -213,24 +229,24 @@ def test_foot_with_partial_contact_gets_longer_wait(leg: int) -> None:
 
     For a foot without contact the wait stays short.
     """
-    short, long = cycles_until_step_is_aborted(leg, False, 99), cycles_until_step_is_aborted(leg, True, 99)
+    short, long = cycles_until_leg_presses(leg, False, 99), cycles_until_leg_presses(leg, True, 99)
     assert short is not None
     assert long is not None
     assert short * DT < 0.12
     assert short < long < short + 4
-    assert cycles_until_step_is_aborted(leg, False, short) is None
-    assert cycles_until_step_is_aborted(leg, False, short + 1) == short
-    assert cycles_until_step_is_aborted(leg, True, long) is None
-    assert cycles_until_step_is_aborted(leg, True, long + 1) == long
+    assert cycles_until_leg_presses(leg, False, short) is None
+    assert cycles_until_leg_presses(leg, False, short + 1) == short
+    assert cycles_until_leg_presses(leg, True, long) is None
+    assert cycles_until_leg_presses(leg, True, long + 1) == long
 
 
 @pytest.mark.parametrize("leans", [False, True])
 def test_wait_for_silent_servo_is_extended_by_at_most_200_ms(leans: bool) -> None:
-    usual = cycles_until_step_is_aborted(2, leans, 99)
+    usual = cycles_until_leg_presses(2, leans, 99)
     assert usual is not None
     for cycles in (1, 4, 9):  # in the first cycle the foot does not wait yet
-        assert cycles_until_step_is_aborted(2, leans, 99, unheard=cycles) == usual + cycles - 1
-    for_ever = cycles_until_step_is_aborted(2, leans, 99, unheard=99)
+        assert cycles_until_leg_presses(2, leans, 99, unheard=cycles) == usual + cycles - 1
+    for_ever = cycles_until_leg_presses(2, leans, 99, unheard=99)
     assert for_ever is not None
     assert (for_ever - usual) * DT == pytest.approx(0.2)
 
