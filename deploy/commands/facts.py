@@ -1,10 +1,12 @@
 """`sextant doctor`: checks of this machine."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, say
+from sextant.deploy.commands.servo_port import Bus
 from sextant.deploy.terminal.arguments import command, option
 
 if TYPE_CHECKING:
@@ -28,6 +30,8 @@ def doctor(port: str | None, camera: str, stranger: str | None, keys: str | None
     from sextant.deploy.doctor.check import Level
 
     found = _strange(stranger, keys) if stranger else checks.examine(port, robot, camera)
+    bus = Bus(robot, port or "")
+    found = [replace(check, advice=bus.completed(check.advice)) for check in found]
     say(checks.to_json(found) if as_json else checks.in_words(found))
     return FAILED if any(check.level is Level.FAIL for check in found) else SUCCESS
 

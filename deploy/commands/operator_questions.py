@@ -1,6 +1,7 @@
 """Questions to the operator at the terminal."""
 
 import sys
+from collections.abc import Callable
 
 from sextant.deploy.commands.common import InputError, say
 
@@ -8,9 +9,10 @@ from sextant.deploy.commands.common import InputError, say
 class Terminal:
     """The operator at the terminal; with `yes` every question has its default answer."""
 
-    def __init__(self, yes: bool = False) -> None:
-        """Initialise without a question."""
+    def __init__(self, yes: bool = False, completed: Callable[[str], str] = str) -> None:
+        """Initialise without a question; `completed` adds their options to commands that a text names."""
         self._yes = yes
+        self._completed = completed
 
     @property
     def absent(self) -> bool:
@@ -19,7 +21,7 @@ class Terminal:
 
     def say(self, text: str) -> None:
         """Print a line."""
-        say(text)
+        say(self._completed(text))
 
     def ask(self, question: str) -> str:
         """Ask a question and return the typed answer; empty with `yes`."""

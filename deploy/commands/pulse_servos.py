@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands.common import FAILED, SUCCESS, CommandError, complain, say
 
 if TYPE_CHECKING:
+    from sextant.deploy.commands.servo_port import Bus
     from sextant.services.actuator.commissioning.set_ids import Operator
     from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
     from sextant.shared.robot.profile import Calibration, RobotProfile
@@ -27,11 +28,11 @@ def _board(port: str, profile: "RobotProfile") -> "Iterator[PwmServos]":
             raise CommandError(str(error)) from None
 
 
-def scan(port: str, profile: "RobotProfile", as_json: bool) -> int:
+def scan(bus: "Bus", profile: "RobotProfile", as_json: bool) -> int:
     """List the channels of the board, and what they send."""
     from sextant.services.actuator.commissioning import pulse_commissioning
 
-    with _board(port, profile) as board:
+    with _board(bus.port, profile) as board:
         found = pulse_commissioning.channels(board, profile)
     if as_json:
         say(json.dumps({"channels": [one._asdict() for one in found], "feedback": pulse_commissioning.NO_FEEDBACK}, indent=1))
@@ -39,7 +40,7 @@ def scan(port: str, profile: "RobotProfile", as_json: bool) -> int:
     say(pulse_commissioning.in_words(found))
     say(f"the board answers; {pulse_commissioning.NO_FEEDBACK}")
     if any(one.width_us for one in found):
-        say("torque is on; `sextant servos off` turns it off")
+        say(bus.completed("torque is on; `sextant servos off` turns it off"))
     return SUCCESS
 
 

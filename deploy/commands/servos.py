@@ -5,37 +5,36 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import partial
 from itertools import groupby
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options, pulse_servos
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
 from sextant.deploy.commands.operator_questions import Terminal
+from sextant.deploy.commands.servo_port import (
+    Bus,
+    completing,
+    ended_once,
+    examine,
+    of_each_bus,
+    open_all,
+    open_ids,
+    open_line,
+    open_servos,
+    opener_of,
+)
 from sextant.deploy.terminal.arguments import Choice, Group, Parsed, argument, flag, number, option, options_of, whole
-from sextant.deploy.terminal.interrupts import Interrupts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from sextant.services.actuator.commissioning.set_ids import Found, Line, Operator
+    from sextant.services.actuator.commissioning.set_ids import Found, Operator
     from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-    from sextant.services.actuator.servo_bus.bus_scan import Problem
-    from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
-    from sextant.services.actuator.servo_bus.servo_interface import Servos
-    from sextant.services.actuator.servo_bus.several_buses import AnyBus
-    from sextant.services.actuator.servo_bus.triage import Opener
     from sextant.shared.robot.profile import Calibration, RobotProfile
-    from sextant.shared.servo.servo_model import ServoModel
 
-PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
-_LONGEST_BYTES = 110  # [bytes] of the longest answer that a scan reads, with its request
-_NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
 _ONE_BUS = "--bus: none expected, because the robot has one bus"
 _NOBODY_SAYS = "torque off is not confirmed: if the legs do not give way, switch the servos' power off"
 _LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
@@ -43,25 +42,21 @@ _LEGS = ("left front", "right front", "right middle", "right rear", "left rear",
 servos = Group("servos", "Scan, centre, set ids, calibrate, test, emulate servos, or turn torque off.")
 
 
-@dataclass(frozen=True, slots=True)
-class Bus:
-    """A servo bus at a port, and the robot that it belongs to."""
-
-    robot: str
-    port: str
-    echo: bool
-
-    @property
-    def networked(self) -> bool:
-        """Whether the port is at a network address."""
-        return "://" in self.port
-
-
-_port = option("--port", "serial device, or socket://host:port", "PORT", default="/dev/ttyUSB0")
+_port = option(
+    "--port",
+    "serial device, I2C bus, or socket://host:port (default: /dev/ttyUSB0, or that usual for the board)",
+    "PORT",
+    default="",
+)
 _echo = flag("--echo", "the adapter returns every sent byte, as some half-duplex adapters do")
-_of_bus = options_of(Bus, "bus", options.robot, _port, _echo)
+_bus_options = options_of(Bus, "bus", options.robot, _port, _echo)
 _leg = option("--leg", "only this leg, e.g. 'left front'; repeatable", "LEG", into="legs", multiple=True, type=Choice(_LEGS))
 _yes = flag("--yes", "for scripts: ask no question, assume yes")
+
+
+def _of_bus(command: Callable[..., int]) -> Callable[..., int]:
+    """Add the options of a servo bus to a command, and complete the commands that its errors name."""
+    return _bus_options(completing(command))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +90,10 @@ _of_one = options_of(
 @options.as_json
 def scan(bus: Bus, ids: range | None, all_rates: bool, as_json: bool) -> int:
     """List the servos on the bus; report missing, duplicate, wrong or reset ones."""
-    profile = _profile(bus.robot)
+    bus, profile = bus.of_robot()
     if profile.servo.pulses is not None:
-        return pulse_servos.scan(bus.port, profile, as_json)
-    seen = [_scan_bus(*one, ids, all_rates, as_json) for one in _of_each_bus(bus, profile)]
+        return pulse_servos.scan(bus, profile, as_json)
+    seen = [_scan_bus(*one, ids, all_rates, as_json) for one in of_each_bus(bus, profile)]
     if as_json:
         found, wrong = ([row for one in seen for row in one[k]] for k in (0, 1))
         say(json.dumps({"servos": found, "problems": wrong}, indent=1))
@@ -113,8 +108,8 @@ def _scan_bus(
 
     ids = set_ids.all_ids(profile.servo_model) if ids is None else ids
     which_bus = {"bus": name} if name else {}
-    with _line(bus, profile, all_rates) as line:
-        unanswered = _triage(bus, profile, line.rates, ids)
+    with open_line(bus, profile, all_rates) as line:
+        unanswered = examine(bus, profile, line.rates, ids)
         rates = " and ".join(map(str, line.rates))
         tell = complain if as_json else say
         if name:
@@ -123,13 +118,15 @@ def _scan_bus(
             tell(f"scanning {len(ids)} ids at {rates} baud; unused ids take longer")
         found = [] if unanswered else set_ids.scan(line, ids)
     wrong = [unanswered] if unanswered else set_ids.verdict(found, profile, ids, each=as_json)
+    named = replace(bus, port=f"{name}={bus.port}") if name else bus
+    wrong = [problem._replace(advice=named.completed(problem.advice)) for problem in wrong]
     result = [which_bus | _row(one, profile) for one in found], [which_bus | problem._asdict() for problem in wrong]
     if as_json:
         return result
     if found:
         say(set_ids.in_words(found, profile))
     if holding := set_ids.holding(found, profile):
-        say(f"{holding}; `sextant servos off` turns torque off")
+        say(named.completed(f"{holding}; `sextant servos off` turns torque off"))
     for advice, alike in groupby(wrong, key=lambda problem: problem.advice):
         for problem in alike:
             say(problem.words)
@@ -143,6 +140,7 @@ def _scan_bus(
 
 @servos.command("find")
 @_of_one
+@completing
 def find(one: _One) -> int:
     """Turn one servo to and fro by 8 deg, to see which one it is.
 
@@ -155,6 +153,7 @@ def find(one: _One) -> int:
 
 @servos.command("centre")
 @_of_one
+@completing
 def centre(one: _One) -> int:
     """Turn one servo to its middle, and hold it there while its horn is screwed on.
 
@@ -173,6 +172,7 @@ def _turn(
     """Turn one servo on a bus, or one behind a board that sends pulses."""
     from sextant.services.actuator.commissioning.single_servo import identify
     from sextant.services.actuator.servo_bus.triage import Opener
+    from sextant.shared.robot.profiles import load_profile
     from sextant.shared.robot.servo_proposal import unknown_model
     from sextant.shared.servo.models import MODEL_NAMED
 
@@ -180,20 +180,22 @@ def _turn(
         raise InputError("one of --robot and --servo expected, found both: the profile of a robot has the model of its servos")
     if one.servo and one.servo not in MODEL_NAMED:
         raise InputError(f"--servo: {unknown_model(one.servo)}; hobby servos need --robot, whose profile names their board")
-    profile = _profile(one.robot) if one.robot else None
+    profile = load_profile(one.robot) if one.robot else None
+    bus = Bus(one.robot or "", one.port, one.echo).checked(profile.servo if profile else None)
+    operator = Terminal(one.yes, bus.completed)
     if profile is not None and profile.servo.pulses is not None:
         if one.servo_id not in profile.servo_names:
-            raise InputError(f"a channel of {profile.name} expected, {min(profile.servo_names)} to {max(profile.servo_names)}")
-        with _ended_once():
-            return SUCCESS if of_board(one.port, profile, one.servo_id, Terminal(one.yes)) else FAILED
-    bus = Bus(one.robot or "", one.port, one.echo)
+            channels = f"{min(profile.servo_names)} to {max(profile.servo_names)}"
+            raise InputError(f"a channel of {profile.name} expected, {channels}, found {one.servo_id}")
+        with ended_once():
+            return SUCCESS if of_board(bus.port, profile, one.servo_id, operator) else FAILED
     names = {one.servo_id: profile.servo_names.get(one.servo_id, "") if profile else ""}
     wanted = profile.servo_models.get(one.servo_id, profile.servo_model) if profile else MODEL_NAMED.get(one.servo or "")
-    with _ended_once():
-        opener = Opener(lambda rate, model: _open_ids(bus, names, model, rate), one.port, not bus.networked)
+    with ended_once():
+        opener = Opener(lambda rate, model: open_ids(bus, names, model, rate), bus.port, not bus.networked)
         found = identify(opener, one.servo_id, wanted)
         with closing(opener.open(found.rate, found.model)) as opened:
-            return SUCCESS if of_bus(opened, one.servo_id, Terminal(one.yes), time.monotonic_ns) else FAILED
+            return SUCCESS if of_bus(opened, one.servo_id, operator, time.monotonic_ns) else FAILED
 
 
 @servos.command("off")
@@ -207,11 +209,11 @@ def off(bus: Bus, bridge: bool) -> int:
     from sextant.services.actuator.commissioning.torque_off import torque_off
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError
 
-    profile = _profile(bus.robot)
+    bus, profile = bus.of_robot()
     unlatched = _latch_off(bus.port)
-    with _ended_once():
+    with ended_once():
         try:
-            servo_bus = _servos(bus, profile, bridge)
+            servo_bus = open_servos(bus, profile, bridge)
         except BusDisconnectedError as error:
             used = getattr(error.__cause__, "errno", None) in (errno.EAGAIN, errno.EBUSY)
             lets_go = "torque is latched off: an actuator on this port turns it off at once, or as soon as its servos respond"
@@ -269,17 +271,17 @@ def set_id(bus: Bus) -> int:
     from sextant.services.actuator.commissioning import set_ids
     from sextant.services.actuator.servo_bus import triage
 
-    profile = _profile(bus.robot)
+    bus, profile = bus.of_robot()
     if profile.servo.pulses is not None:
         return pulse_servos.set_id()
-    for name, one_bus, servos_on_it in _of_each_bus(bus, profile):
+    for name, one_bus, servos_on_it in of_each_bus(bus, profile):
         if name:
             say(f"bus {name}, {one_bus.port}:")
-        with _line(one_bus, servos_on_it) as line:
+        with open_line(one_bus, servos_on_it) as line:
             foreign = partial(
-                triage.other_family, _opener(one_bus, servos_on_it), servos_on_it.servo_model, servos_on_it.servo_names
+                triage.other_family, opener_of(one_bus, servos_on_it), servos_on_it.servo_model, servos_on_it.servo_names
             )
-            if not set_ids.set_ids(line, servos_on_it, Terminal(), foreign):
+            if not set_ids.set_ids(line, servos_on_it, Terminal(completed=bus.completed), foreign):
                 return FAILED
     return SUCCESS
 
@@ -303,6 +305,7 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
     from sextant.shared.robot.profile import LEGS
 
     path, base, profile = options.own_file(bus.robot, out)
+    bus, operator = bus.checked(profile.servo), Terminal(yes, bus.completed)
     known = [entry.leg for entry in profile.calibration]
     chosen = legs or [leg for leg in LEGS if leg not in known] or list(LEGS)
     angles = pose or calibration.STRAIGHT_OUT
@@ -317,12 +320,12 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
         say(f"{entry.leg}: written to {profile_file.change(path, base, legs=(entry,)) and path}")
 
     if profile.servo.pulses is not None:
-        return pulse_servos.calibrate(bus.port, profile, Terminal(yes), keep, tuple(chosen), angles)
-    with _ended_once(), closing(_open_all(bus, profile)) as opened:
+        return pulse_servos.calibrate(bus.port, profile, operator, keep, tuple(chosen), angles)
+    with ended_once(), closing(open_all(bus, profile)) as opened:
         done = calibration.calibrate(
             opened,
             profile,
-            Terminal(yes),
+            operator,
             keep,
             date.today(),
             legs=chosen,
@@ -345,14 +348,15 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
     from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
     from sextant.shared.robot.profile import LEGS
 
-    profile = _profile(bus.robot)
+    bus, profile = bus.of_robot()
+    operator = Terminal(yes, bus.completed)
     if profile.servo.pulses is not None:
         if torque == "on":
             raise InputError("--torque off expected: hobby servos jump when torque is turned on, so it is off after the test")
-        return pulse_servos.test(bus.port, profile, Terminal(yes), legs or LEGS)
+        return pulse_servos.test(bus.port, profile, operator, legs or LEGS)
     hold = torque == "on" if torque else (False if yes else None)
-    with _ended_once(), closing(_open_all(bus, profile)) as opened:
-        moved = run_joint_test(opened, profile, Terminal(yes), time.monotonic_ns, legs=legs or LEGS, hold_after=hold)
+    with ended_once(), closing(open_all(bus, profile)) as opened:
+        moved = run_joint_test(opened, profile, operator, time.monotonic_ns, legs=legs or LEGS, hold_after=hold)
     if moved is None:
         return FAILED
     wrong = [f"{one.name}: {one.problem}" for one in moved if one.problem]
@@ -376,12 +380,14 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int, bus: str | None) ->
     """Emulate the servos of a robot, or a set of new servos, on a network port."""
     import numpy as np
 
+    from sextant.shared.robot.profiles import load_profile
+
     try:
         from sextant.services.simulator.servo_bus.bench_emulator import make_bench
         from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
     except ImportError as error:
         raise InputError(f"{error}; emulated servos need it: pip install -e '.[simulator]'") from None
-    profile = _profile(robot)
+    profile = load_profile(robot)
     names = [one.name for one in profile.servos.buses]
     if (bus or "") not in names:
         raise InputError(f"--bus: one of {', '.join(names)} expected, found {bus or 'none'}" if profile.buses else _ONE_BUS)
@@ -409,145 +415,6 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int, bus: str | None) ->
                 say(told)
         threading.Event().wait()  # stdin has ended: wait for Ctrl-C
     return INTERRUPTED
-
-
-class _Once(Interrupts):
-    """Raise only the first Ctrl-C, SIGTERM or SIGHUP while entered.
-
-    Later signals are ignored, because the command is cleaning up.
-    """
-
-    def _count(self, number: int, frame: FrameType | None) -> None:
-        super()._count(number, frame)
-        if not self.insisted():
-            raise KeyboardInterrupt
-
-
-def _ended_once() -> AbstractContextManager[object]:
-    """Return a context in which the first signal ends a command like Ctrl-C.
-
-    Outside the main thread it does nothing, because only that thread receives signals.
-    """
-    return _Once() if threading.current_thread() is threading.main_thread() else nullcontext()
-
-
-def _of_each_bus(bus: Bus, profile: "RobotProfile") -> "list[tuple[str, Bus, RobotProfile]]":
-    """Return name, port and servos of each bus that --port names; the only bus of a robot has no name."""
-    from sextant.shared.robot.one_bus import on_bus
-    from sextant.shared.servo.bus_ports import bus_ports, wrong_ports
-
-    if not profile.buses:
-        return [("", bus, profile)]
-    ports, names = bus_ports(bus.port), [part.name for part in profile.buses]
-    if not ports.keys() <= set(names):
-        raise InputError(f"--port: {wrong_ports(ports, names)}")
-    return [(name, replace(bus, port=ports[name][0]), on_bus(profile, name)) for name in names if name in ports]
-
-
-def _open_all(bus: Bus, profile: "RobotProfile") -> "AnyBus":
-    """Open all servos of a robot, on one bus or several; raises BusDisconnectedError."""
-    from sextant.services.actuator.servo_bus.several_buses import SeveralBuses
-    from sextant.shared.servo.bus_ports import bus_ports, wrong_ports
-
-    if not profile.buses:
-        return _open(bus, profile)
-    if words := wrong_ports(bus_ports(bus.port), [part.name for part in profile.buses]):
-        raise InputError(f"--port: {words}")
-    each = zip(profile.servos.buses, _of_each_bus(bus, profile), strict=True)
-    return SeveralBuses({part: _open(one_bus, on_it) for part, (_, one_bus, on_it) in each})
-
-
-@contextmanager
-def _line(bus: Bus, profile: "RobotProfile", all_rates: bool = False) -> "Iterator[Line]":
-    """Open the servo port; close it at the end, also after a signal."""
-    from sextant.services.actuator.commissioning.set_ids import Line
-    from sextant.services.actuator.servo_bus import triage
-
-    of_model = triage.all_rates if all_rates else triage.usual_rates
-    rates = (profile.servo_model.bus_rate,) if bus.networked else of_model(profile.servo_model)
-    with _ended_once(), closing(Line(lambda rate: _open(bus, profile, rate), rates)) as line:
-        yield line
-
-
-def _triage(bus: Bus, profile: "RobotProfile", rates: Sequence[int], ids: range) -> "Problem | None":
-    """Return why no servo of the robot answers on the port, or None."""
-    from sextant.services.actuator.servo_bus import triage
-
-    opener = _opener(bus, profile)
-    asked = [i for i in profile.servo_names if i in ids] or list(ids)
-    return triage.examine(opener, profile.servo_model, asked, rates)
-
-
-def _opener(bus: Bus, profile: "RobotProfile") -> "Opener":
-    """Return what opens the port for servos of several families."""
-    from sextant.services.actuator.servo_bus.triage import Opener
-
-    return Opener(lambda rate, model: _open(bus, profile, rate, model), bus.port, not bus.networked)
-
-
-def _open(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: "ServoModel | None" = None) -> "ServoBus":
-    """Open the servos at the port, at a baud rate [1/s] and of a model; None is the robot's own.
-
-    Raises:
-        BusDisconnectedError: The port cannot be opened.
-    """
-    model = model or profile.servo_model
-    alike = model.table.of_bus == profile.servo_model.table.of_bus
-    models = profile.servo_models if alike else None  # else it asks for another family
-    return _open_ids(bus, profile.servo_names, model, rate or model.bus_rate, models)
-
-
-def _open_ids(
-    bus: Bus, names: "Mapping[int, str]", model: "ServoModel", rate: int, models: "Mapping[int, ServoModel] | None" = None
-) -> "ServoBus":
-    """Open servos by their ids, which are of a model, or of others by id; raises BusDisconnectedError."""
-    from sextant.services.actuator.servo_bus.bus_driver import open_port
-    from sextant.services.actuator.servo_bus.command_bus import bus_of
-
-    patience = _NETWORK_PATIENCE_NS if bus.networked else patience_ns(rate)
-    return bus_of(model)(
-        open_port(bus.port, rate, patience),
-        [i for i in names if i <= model.protocol.MAX_ID],
-        time.monotonic_ns,
-        model=model,
-        models=models,
-        names=names,
-        echo=bus.echo,
-        reply_timeout_ns=patience,
-    )
-
-
-def _servos(bus: Bus, profile: "RobotProfile", bridge: bool) -> "Servos":
-    """Open the servos of a robot on their bus, behind a microcontroller or behind a board that sends pulses."""
-    from sextant.services.actuator.commissioning.pulse_commissioning import open_servos
-
-    if profile.servo.pulses is not None:
-        return open_servos(bus.port, profile, time.monotonic_ns)
-    return _bridge(bus.port, profile) if bridge else _open_all(bus, profile)
-
-
-def _bridge(port: str, profile: "RobotProfile") -> "Bridge":
-    """Open the servos behind a microcontroller at the port.
-
-    Raises:
-        BusDisconnectedError: The port cannot be opened.
-    """
-    from sextant.services.actuator.servo_bus.bus_driver import open_port
-    from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
-
-    names, model = profile.servo_names, profile.servo_model
-    return Bridge(open_port(port, timeout_ns=READ_NS), list(names), time.monotonic_ns, model=model, names=names)
-
-
-def patience_ns(rate: int) -> int:
-    """Return the time [ns] to wait for an answer at a baud rate [1/s]: slow rates need longer for their longest answer."""
-    return PATIENCE_NS + _LONGEST_BYTES * 10 * 1_000_000_000 // rate
-
-
-def _profile(robot: str) -> "RobotProfile":
-    from sextant.shared.robot.profiles import load_profile
-
-    return load_profile(robot)
 
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, CommandError, InputError, complain, open_progress, say
+from sextant.deploy.commands.servo_port import Bus
 from sextant.deploy.terminal.arguments import Choice, argument, command, flag, option, options_of
 
 if TYPE_CHECKING:
@@ -101,8 +102,9 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     rows, chosen, extra = asked(launch)
     if print_zenoh:
         return _print_zenoh(gate_of(launch, rows, process_table.ROUTER_ENDPOINT))
+    bus = None
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
-        _see_servo_port(extra.get("actuator", ()))
+        bus = _servo_bus(extra.get("actuator", ()), chosen.robot)
     paged = any(row.name == "console" for row in rows)
     if paged:
         chosen = replace(chosen, console_port=_page_port(chosen.console_port, extra.get("console", ())))
@@ -142,8 +144,8 @@ def up(launch: Launch, print_zenoh: bool) -> int:
                 complain(f"sextant up: {problem}")
             else:
                 half.stop(interrupts.insisted)
-    if any(row.name == "actuator" for row in rows) and not chosen.scenario:
-        say("the servos keep their torque on or off, as it was; `sextant servos off` turns it off")
+    if bus:
+        say(bus.completed("the servos keep their torque on or off, as it was; `sextant servos off` turns it off"))
     return FAILED if problem else INTERRUPTED
 
 
@@ -211,7 +213,10 @@ def asked(launch: Launch) -> "tuple[tuple[Process, ...], Choices, dict[str, tupl
     if not _has_imu(chosen.robot):
         absent.add("imu")
     rows = tuple(row for row in rows if row.name not in absent)
-    return rows, replace(chosen, camera=launch.camera and device), _extra(launch.settings, rows)
+    settings = launch.settings
+    if not chosen.scenario and any(row.name == "actuator" for row in rows):
+        settings = (*_usual_port(chosen.robot), *settings)  # a later one counts
+    return rows, replace(chosen, camera=launch.camera and device), _extra(settings, rows)
 
 
 def _rows(launch: Launch) -> "tuple[Process, ...]":
@@ -318,6 +323,15 @@ def _has_imu(robot: str) -> bool:
     return load_profile(robot).imu.device not in ("camera", "none")
 
 
+def _usual_port(robot: str) -> tuple[str, ...]:
+    """Return the setting of the servo port where servos are usually at another one than the actuator's default."""
+    from sextant.services.actuator.config import Settings
+    from sextant.shared.robot.profiles import load_profile
+
+    port = load_profile(robot).servo.usual_port
+    return () if port == Settings().port else (f"actuator.port={port}",)
+
+
 def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
     from sextant.deploy.launch.process_table import further_settings
 
@@ -342,20 +356,25 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
     return page_port(lambda words: say(f"{words}; --set console.port=PORT selects another"), usual)
 
 
-def _see_servo_port(settings: Sequence[str]) -> None:
-    """Raise an InputError if the servo port does not exist, before anything starts."""
+def _servo_bus(settings: Sequence[str], robot: str) -> Bus:
+    """Return the servo bus; raise an InputError if its port is none for these servos or does not exist."""
     from sextant.services.actuator.config import Settings
+    from sextant.shared.robot.profiles import load_profile
     from sextant.shared.runtime.process import load_settings
-    from sextant.shared.servo.bus_ports import bus_ports
+    from sextant.shared.servo.bus_ports import bus_ports, find_port, wrong_kind
 
-    for names in bus_ports(load_settings(Settings, None, settings).port).values():
+    pulses, port = load_profile(robot).servo.pulses, load_settings(Settings, None, settings).port
+    for names in bus_ports(port).values():
+        for name in names:
+            if words := wrong_kind(name, pulses.board if pulses else ""):
+                raise InputError(f"--set actuator.port: {words}")
         if any("://" in name or Path(name).exists() for name in names):
             continue
-        port = " or ".join(names)
         raise InputError(
-            f"no servo port {port}; plug in its adapter, name another with --set actuator.port=/dev/ttyUSB1, or simulate it "
-            "with --scenario; `sextant doctor --port` checks a port"
+            f"no servo port {' or '.join(names)}; {find_port(names[0])}; --set actuator.port=DEVICE names another, and "
+            "--scenario simulates it; `sextant doctor --port` checks a port"
         )
+    return Bus(robot, port)
 
 
 def _pass_on(_name: str, line: str) -> None:

@@ -16,7 +16,7 @@ from sextant.deploy.doctor.check import Check, Level
 from sextant.services.actuator.commissioning.set_ids import hampered
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.files.config import ConfigError
-from sextant.shared.servo.bus_ports import all_ports, bus_ports, wrong_ports
+from sextant.shared.servo.bus_ports import all_ports, bus_ports, find_port, wrong_kind, wrong_ports
 
 if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.bus_driver import Port
@@ -55,6 +55,10 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
     if profile.buses and (words := wrong_ports(bus_ports(port), [bus.name for bus in profile.buses])):
         yield Check(f"servo port {port}", Level.FAIL, words, "name the port of each bus with --port")
         return
+    board = profile.servo.pulses.board if profile.servo.pulses else ""
+    if words := next(filter(None, (wrong_kind(one, board) for one in all_ports(port))), ""):
+        yield Check(f"servo port {port}", Level.FAIL, words, "name the port with --port, and the robot with --robot")
+        return
     for one_port, servos_on_it in of_each_bus(port, profile):
         yield from servos(one_port, servos_on_it)
         yield latency(one_port)
@@ -84,8 +88,7 @@ def out_of_reach(port: str) -> Check | None:
         return None
     path = Path(port)
     if not path.exists():
-        advice = "plug the adapter in and find its name with `ls /dev/ttyUSB* /dev/ttyACM*`"
-        return Check(name, Level.FAIL, "no such device", advice)
+        return Check(name, Level.FAIL, "no such device", find_port(port))
     if not os.access(path, os.R_OK | os.W_OK):
         group = path.group()
         advice = f"`sudo usermod -aG {group} $USER`, then log in again"

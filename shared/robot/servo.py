@@ -101,6 +101,11 @@ class Servo:
         return found
 
     @property
+    def usual_port(self) -> str:
+        """Device at which these servos usually are."""
+        return pwm.USUAL_PORTS[self.pulses.board] if self.pulses else "/dev/ttyUSB0"
+
+    @property
     def controller_settings(self) -> dict[Register, int]:
         """Settings of the servo's position controller, by register."""
         table = self.servo_model.table

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 
+_I2C = "/dev/i2c-"
 _OF_BUS = re.compile(r"([A-Za-z_]\w*)\s*=\s*(.+)", re.ASCII)
 
 
@@ -28,6 +29,32 @@ def wrong_ports(ports: Mapping[str, Sequence[str]], buses: Sequence[str]) -> str
     expected = ", ".join(f"{bus}=/dev/ttyUSB{number}" for number, bus in enumerate(buses))
     found = ", ".join(f"{name}={port}" if name else port for name, of_bus in ports.items() for port in of_bus)
     return f"a port for each bus of the robot expected, as in '{expected}', found '{found}'"
+
+
+def wrong_kind(port: str, board: str = "") -> str:
+    """Return why servos cannot be at a port, or an empty string.
+
+    Args:
+        port: A device, or a network address, at which any servos can be emulated.
+        board: Board that sends pulses to the servos, see `sextant.shared.servo.pwm`; "" for servos on a bus.
+    """
+    if "://" in port:
+        return ""
+    if board == "pca9685":
+        return "" if port.startswith(_I2C) else f"an I2C bus of a PCA9685, such as /dev/i2c-1, expected, found {port!r}"
+    usual = "/dev/ttyACM0" if board else "/dev/ttyUSB0"
+    if "/" not in port or port.startswith(_I2C):
+        return f"a serial device such as {usual}, or socket://HOST:PORT, expected, found {port!r}"
+    return ""
+
+
+def find_port(port: str) -> str:
+    """Return how to find the device of a port that does not exist."""
+    if port.startswith(_I2C):
+        return "enable I2C on this computer; `ls /dev/i2c-*` lists its buses"
+    if "/" not in port:
+        return f"{wrong_kind(port)}; `ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
+    return "is the adapter plugged in? `ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
 
 
 def all_ports(text: str) -> list[str]:

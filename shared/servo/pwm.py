@@ -31,6 +31,7 @@ _WIDEST_RAD = math.pi  # largest angle of any servo, either way
 _RATE = 1_000_000  # [bit/s] of the emulated board's port
 
 Board = Literal["maestro", "pca9685"]
+USUAL_PORTS = MappingProxyType({"maestro": "/dev/ttyACM0", "pca9685": "/dev/i2c-1"})
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from sextant.shared.errors import SextantError
 from sextant.shared.runtime.clock import now_ns
 from sextant.shared.runtime.simulated_time import REACTION_NS, SERVO_BUS, hold, limit_of
 from sextant.shared.servo import dynamixel2
+from sextant.shared.servo.bus_ports import find_port
 from sextant.shared.servo.servo_model import REFUSAL, Packet, ServoModel
 
 log = logging.getLogger(__name__)
@@ -150,7 +151,7 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     except LOST as error:
         number = _errno(error)
         cause = os.strerror(number) if number else str(error)  # the text of pyserial repeats the port and the number
-        raise BusDisconnectedError(f"cannot open servo port {url}: {cause}; {_advice(number)}") from error
+        raise BusDisconnectedError(f"cannot open servo port {url}: {cause}; {_advice(number, url)}") from error
     except (ValueError, TypeError) as error:  # raised by pyserial for an invalid address
         raise BusDisconnectedError(f"cannot open servo port {url}: {_EXPECTED} expected") from error
     if slow := usb_adapter.lower_latency(url, port):
@@ -163,16 +164,19 @@ def _open_i2c(path: str) -> Port:
     try:
         return i2c_port.I2cPort(path)
     except OSError as error:
-        advice = "enable I2C on this computer" if error.errno == errno.ENOENT else "join the group i2c, then log in again"
+        advice = find_port(path) if error.errno == errno.ENOENT else "join the group i2c, then log in again"
         raise BusDisconnectedError(f"cannot open I2C bus {path}: {error.strerror}; {advice}") from error
 
 
 def _errno(error: Exception) -> int | None:
     """Return the number of a system error, None if it is none; pyserial hides that of a socket."""
-    return getattr(error, "errno", None) or getattr(error.__context__, "errno", None)
+    reason = error.__context__
+    if isinstance(reason, termios.error):
+        return int(reason.args[0])
+    return getattr(error, "errno", None) or getattr(reason, "errno", None)
 
 
-def _advice(number: int | None) -> str:
+def _advice(number: int | None, url: str) -> str:
     """Return what to do about a port that cannot be opened, by the number of the system error."""
     match number:
         case errno.EACCES | errno.EPERM:
@@ -180,7 +184,9 @@ def _advice(number: int | None) -> str:
         case errno.EAGAIN | errno.EBUSY:
             return "another program uses it; end that program first"
         case errno.ENOENT:
-            return "is the adapter plugged in? `ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
+            return find_port(url)
+        case errno.ENOTTY:
+            return f"{_EXPECTED} expected; `ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
         case errno.ECONNREFUSED:
             return "is the simulator, or `sextant servos emulate`, running?"
     return "check that the adapter is plugged in and no other program uses it, or that the simulator is running"

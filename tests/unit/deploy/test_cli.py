@@ -61,7 +61,10 @@ def test_help_imports_no_heavy_packages() -> None:
         (["up", "offboard", "--with", "simulator"], "is a simulation process; --scenario starts it"),
         (["up", "offboard", "--with", "plannar"], "did you mean 'planner'?"),
         (["up", "onboard", "--without", "mapper"], "mapper is not started by the role onboard"),
-        (["up", "onboard", "--camera", "none", "--set", "actuator.port=/dev/nowhere"], "no servo port /dev/nowhere; plug in"),
+        (
+            ["up", "onboard", "--camera", "none", "--set", "actuator.port=/dev/nowhere"],
+            "no servo port /dev/nowhere; is the adapter",
+        ),
         (["up", "all", "--scenario", "flat", "--robot", "nobody"], "no profile 'nobody'"),
         (["recording", "replay", "nowhere.mcap"], "recording.mcap of a run"),
         (["recording", "replay", "nowhere.txt"], "depth.txt"),

@@ -140,6 +140,8 @@ MISTAKES = [
     ("run flat --lockstep --foothold level", "package.module:Object or the name of an entry point expected, found 'level'"),
     ("run flat --connect tcp/127.0.0.1:1", "nothing listens on port 1 of 127.0.0.1; is the robot up"),
     ("servos set-id --port /dev/nosuch", "servo port /dev/nosuch: No such file or directory; is the adapter plugged in?"),
+    ("servos scan --port COM3", "--port: a serial device such as /dev/ttyUSB0, or socket://HOST:PORT, expected, found 'COM3'"),
+    ("servos scan --port /dev/null", "/dev/null: Inappropriate ioctl for device; a serial device such as /dev/ttyUSB0"),
     (
         "servos set-id --port socket://127.0.0.1:1",
         "Connection refused; is the simulator, or `sextant servos emulate`, running?",

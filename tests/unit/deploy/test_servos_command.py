@@ -16,14 +16,15 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.commands import servos
+from sextant.deploy.commands import servo_port, servos
+from sextant.deploy.commands.servo_port import Bus
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.servo_bus import bus_driver
 from sextant.services.actuator.servo_bus.bus_scan import ECHO
-from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, Port, open_port
+from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, BusDisconnectedError, Port, open_port
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.host_link import Reply
@@ -54,6 +55,7 @@ class Line:
         self._device = device
         monkeypatch.setattr(bus_driver, "open_port", self.open)
         monkeypatch.setattr(servos, "time", self)
+        monkeypatch.setattr(servo_port, "time", self)
         self._port: MemoryPort | None = None
 
     def monotonic_ns(self) -> int:
@@ -290,7 +292,10 @@ def test_off_disables_torque_directly_on_servo_port(
     torque = bench._servos.tables[:, dxl.TORQUE_ENABLE.address]
     torque[:] = 1
     assert cli.main(["servos", "scan", "--port", url]) == 0
-    assert "torque is on, of servo 1 (left front coxa), and of 17 more; `sextant servos off`" in capsys.readouterr().out
+    assert (
+        f"torque is on, of servo 1 (left front coxa), and of 17 more; `sextant servos off --port {url}`"
+        in capsys.readouterr().out
+    )
     if deaf:
         bench.unplug(bench._with_id(9))
     assert cli.main(["servos", "off", "--port", url]) == int(deaf)
@@ -398,9 +403,14 @@ def test_port_in_use_by_another_program_is_reported(bench: BenchEmulator, capsys
 def test_slow_rates_have_time_for_the_longest_answer() -> None:
     """The RAM of an X430 is read in 94 bytes, which take 16 ms at the 57600 baud of its factory."""
     answer = 94 * 10 / 57_600
-    assert servos.patience_ns(57_600) * 1e-9 > answer + 0.016 + 0.001
-    assert servos.patience_ns(9_600) > servos.patience_ns(57_600) > servos.patience_ns(1_000_000) > servos.PATIENCE_NS
-    assert servos.patience_ns(1_000_000) - servos.PATIENCE_NS < 2_000_000
+    assert servo_port.patience_ns(57_600) * 1e-9 > answer + 0.016 + 0.001
+    assert (
+        servo_port.patience_ns(9_600)
+        > servo_port.patience_ns(57_600)
+        > servo_port.patience_ns(1_000_000)
+        > servo_port.PATIENCE_NS
+    )
+    assert servo_port.patience_ns(1_000_000) - servo_port.PATIENCE_NS < 2_000_000
 
 
 @pytest.mark.parametrize("robot", [[], ["--robot", "phantomx_mk2"], ["--servo", "AX-12A"]])
@@ -421,7 +431,7 @@ def test_one_servo_is_turned_without_a_profile_or_with_one(
     [
         (["centre", "7", "--servo", "AX-12A", "--robot", "phantomx_mk2"], "one of --robot and --servo expected, found both"),
         (["centre", "7", "--servo", "MG996R"], "hobby servos need --robot, whose profile names their board"),
-        (["centre", "27", "--robot", "printed_ds3218"], "a channel of printed_ds3218 expected, 0 to 17"),
+        (["centre", "27", "--robot", "printed_ds3218"], "a channel of printed_ds3218 expected, 0 to 17, found 27"),
         (["find", "254"], "254"),
     ],
 )
@@ -430,3 +440,47 @@ def test_servo_that_cannot_be_meant_is_refused(
 ) -> None:
     assert cli.main(["servos", *words, "--port", url]) == 2
     assert hint in capsys.readouterr().err
+
+
+def test_messages_name_whole_commands(
+    bench: BenchEmulator, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands in reports, questions and errors have the port and the robot of the command that names them."""
+    own = tmp_path / "my robot.toml"
+    own.write_text('extends = "phantomx_mk2"\n', encoding="utf-8")
+    bench.unplug(range(18))
+    whole = f"`sextant servos scan --port {url} --robot '{own}'`"
+    for words in (["test", "--yes"], ["calibrate", "--yes"], ["centre", "7", "--yes"]):
+        assert cli.main(["servos", *words, "--port", url, "--robot", str(own)]) == 1
+        told = capsys.readouterr()
+        assert whole in told.out + told.err
+    assert cli.main(["doctor", "--port", url, "--robot", str(own)]) == 1
+    assert whole in capsys.readouterr().out
+    assert Bus("phantomx_mk2", "/dev/ttyUSB0").completed("`sextant servos off`") == "`sextant servos off`"
+
+
+@pytest.mark.parametrize(
+    ("board", "port", "words"),
+    [
+        ("maestro", "", "/dev/ttyACM0"),
+        ("pca9685", "", "/dev/i2c-1"),
+        ("pca9685", "/dev/ttyUSB0", "an I2C bus of a PCA9685, such as /dev/i2c-1, expected, found '/dev/ttyUSB0'"),
+        ("maestro", "/dev/i2c-1", "a serial device such as /dev/ttyACM0, or socket://HOST:PORT, expected, found '/dev/i2c-1'"),
+    ],
+)
+def test_port_is_that_of_the_board(
+    board: str, port: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(url: str, *_: object, **__: object) -> None:
+        raise BusDisconnectedError(f"asked for {url}")
+
+    monkeypatch.setattr("sextant.services.actuator.commissioning.pulse_commissioning.open_port", refuse)
+    monkeypatch.setattr(Path, "exists", lambda self: False)
+    own = tmp_path / "own.toml"
+    own.write_text(f'extends = "printed_ds3218"\n[servo.pulses]\nboard = "{board}"\n', encoding="utf-8")
+    robot = ["--robot", str(own)]
+    for command in (["scan"], ["test"], ["calibrate"], ["centre", "4"]):
+        assert cli.main(["servos", *command, *robot, *(["--port", port] if port else [])]) == (2 if port else 1)
+        assert words in capsys.readouterr().err
+    assert cli.main(["up", "onboard", "--camera", "none", *robot, *(["--set", f"actuator.port={port}"] if port else [])]) == 2
+    assert words in capsys.readouterr().err

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.commands import servos
+from sextant.deploy.commands import servo_port, servos
 from sextant.deploy.doctor import rehearsal, servo_checks
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.servo_bus import bus_driver
@@ -60,6 +60,7 @@ def line(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
     found = Line(profile)
     monkeypatch.setattr(bus_driver, "open_port", found.open)
     monkeypatch.setattr(servos, "time", found)
+    monkeypatch.setattr(servo_port, "time", found)
     return found
 
 

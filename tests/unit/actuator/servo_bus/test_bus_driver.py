@@ -571,3 +571,10 @@ def test_port_open_error_suggests_remedy(error: int, words: str, monkeypatch: py
     monkeypatch.setattr(serial, "serial_for_url", refuse)
     with pytest.raises(BusDisconnectedError, match=words):
         open_port("/dev/ttyUSB0")
+
+
+@pytest.mark.parametrize(("port", "words"), [("/dev/null", "a serial device such as /dev/ttyUSB0"), ("COM3", "found 'COM3'")])
+def test_what_is_no_serial_device_is_named(port: str, words: str) -> None:
+    with pytest.raises(BusDisconnectedError, match=words) as failure:
+        open_port(port)
+    assert "configure port" not in str(failure.value)

@@ -50,7 +50,7 @@ def test_no_servo_port_is_ok(tmp_path: Path) -> None:
 def test_missing_port_fails(tmp_path: Path) -> None:
     (check,) = servo_checks.examine(str(tmp_path / "ttyUSB0"), "phantomx_mk2")
     assert check.level is Level.FAIL
-    assert "plug the adapter in" in check.advice
+    assert "is the adapter plugged in?" in check.advice
 
 
 def test_port_without_permission_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sextant.shared.servo.bus_ports import all_ports, bus_ports, wrong_ports
+from sextant.shared.servo.bus_ports import all_ports, bus_ports, find_port, wrong_kind, wrong_ports
 
 
 @pytest.mark.parametrize(
@@ -34,3 +34,19 @@ def test_ports_that_are_not_those_of_the_robot_are_named() -> None:
         "a port for each bus of the robot expected, as in 'left=/dev/ttyUSB0, right=/dev/ttyUSB1', found '/dev/ttyUSB0'"
     )
     assert "found 'left=/dev/a, middle=/dev/b'" in wrong_ports(bus_ports("left=/dev/a, middle=/dev/b"), ["left", "right"])
+
+
+@pytest.mark.parametrize("board", ["", "maestro", "pca9685"])
+def test_each_board_has_its_kind_of_port(board: str) -> None:
+    serial, i2c = wrong_kind("/dev/ttyUSB1", board), wrong_kind("/dev/i2c-3", board)
+    assert bool(serial) == (board == "pca9685")
+    assert bool(i2c) == (board != "pca9685")
+    assert wrong_kind("socket://127.0.0.1:5000", board) == ""
+    for word in ("COM3", "ttyUSB0"):
+        assert f"expected, found {word!r}" in wrong_kind(word, board)
+
+
+def test_a_port_that_does_not_exist_is_found_by_its_kind() -> None:
+    assert "is the adapter plugged in?" in find_port("/dev/ttyUSB7")
+    assert "enable I2C" in find_port("/dev/i2c-7")
+    assert "a serial device such as /dev/ttyUSB0, or socket://HOST:PORT, expected, found 'ttyUSB0'" in find_port("ttyUSB0")
