@@ -10,6 +10,7 @@ from click import UsageError
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, say
 from sextant.deploy.terminal.arguments import Choice, Group, Parsed, argument, flag, number, option, options_of
+from sextant.shared.files.config import ConfigError
 
 if TYPE_CHECKING:
     from sextant.shared.robot.description.robot_description import RobotDescription
@@ -128,7 +129,8 @@ def _described(file: Path) -> "RobotDescription":
 
 
 _VOLTS = number(3.0, 30.0, "a voltage")
-_LENGTH, _MASS = number(0.005, 0.5, "a length in metres"), number(0.1, 30.0, "a mass in kilograms")
+_USUAL_SERVO = "AX-12A"
+_LENGTH, _MASS = number(0.005, 0.5, "a length in metres (45 mm are 0.045)"), number(0.1, 30.0, "a mass in kilograms")
 _QUESTIONS = {  # what is asked, and its value for a PhantomX
     "coxa": ("from coxa axis to femur axis [m]", _LENGTH, 0.052),
     "femur": ("from femur axis to tibia axis [m]", _LENGTH, 0.066),
@@ -160,48 +162,79 @@ class _Measured:
 )
 @option(
     "--servo",
-    "model of the servos, by its name in docs/servos.md; or a TOML file with [servo], or a profile that has these servos",
+    "model of the servos, by its name in docs/servos.md; maestro or pca9685 for hobby servos; a TOML file with [servo]; or a "
+    "profile that has these servos (default: asked for with the measures, else AX-12A)",
     "MODEL",
-    default="AX-12A",
 )
 @option("--volts", "voltage of the servos, where their maker states several (default: the usual one)", "V", type=_VOLTS)
-def new(out: str, measured: _Measured, servo: str, volts: float | None) -> int:
+def new(out: str, measured: _Measured, servo: str | None, volts: float | None) -> int:
     """Write a profile from a few measures, and check it.
 
-    It asks for the measures that no option gives. The robot is symmetric, with straight brackets. Stance, limits and camera are
-    proposed.
+    It asks for servos and measures that no option gives. The robot is symmetric, with straight brackets. Stance, limits and
+    camera are proposed.
     """
     from sextant.evaluation.robot_check.robot_check import check_robot
     from sextant.evaluation.robot_check.slowed_robot import slow_down
+    from sextant.shared.robot.horn_assembly import angles_at_centre
     from sextant.shared.robot.new_profile import Measures, new_profile
     from sextant.shared.robot.profile_text import require_new_file, write_new_profile
-    from sextant.shared.robot.servo_proposal import chosen_servo
+    from sextant.shared.robot.servo_proposal import BOARDS, chosen_servo
 
-    drive = chosen_servo(servo, volts)
     require_new_file(Path(out))
+    is_asked = servo is None and None in asdict(measured).values()
+    word = _asked_servo(volts) if is_asked else servo or _USUAL_SERVO
+    drive = chosen_servo(word, volts)
     given = {name: _asked(name) if measure is None else measure for name, measure in asdict(measured).items()}
     made = slow_down(new_profile(Path(out).stem, Measures(**given), drive))  # type: ignore[arg-type]
     words = [f"{name} = {measure:g}: {_QUESTIONS[name][0]}" for name, measure in given.items()]
     note = "Stance, joint limits, masses of the links, camera and servo ids are proposed: see docs/your_robot.md."
-    write_new_profile(Path(out), made, ["Made by `sextant robot new` from measures:", *words, note])
+    horns = f"Screw the horns on with each servo at its centre and its joint at: {angles_at_centre(made)}."
+    write_new_profile(Path(out), made, ["Made by `sextant robot new` from measures:", *words, note, horns])
     found = check_robot(made)
     for limit in found.limits:
         if not limit.is_met:
             say(f"FAIL  {limit.name}: {limit.sentence}")
-    say(f"{out}: {'passes' if found.passes else 'fails'} the check; `sextant robot check {out}` prints all of it")
+    assumed = "" if servo or is_asked else ", assumed: --servo NAME for another"
+    say(f"{out}: {'passes' if found.passes else 'fails'} the check; its servos are {made.servo.model}{assumed}")
+    if word in BOARDS:
+        say("The numbers in [servo] are those of a DS3218: correct them for other servos, see docs/hobby_servos.md")
+    say(horns)
+    say(f"Next: `sextant robot check {out}` prints the whole check, and docs/commissioning.md goes on")
     return SUCCESS if found.passes else FAILED
+
+
+def _asked_servo(volts: float | None) -> str:
+    """Ask for the servos until the answer is valid; Enter is the usual model."""
+    from sextant.shared.robot.servo_proposal import BOARDS, chosen_servo
+    from sextant.shared.servo.models import MODEL_NAMED
+
+    say(f"servos: {', '.join(MODEL_NAMED)}; {' or '.join(BOARDS)} for hobby servos; a TOML file with [servo], or a profile")
+    while True:
+        word = _answered(f"servos, {_USUAL_SERVO} if you press Enter: ", "--servo") or _USUAL_SERVO
+        try:
+            chosen_servo(word, volts)
+        except ConfigError as error:
+            say(str(error))
+        else:
+            return word
 
 
 def _asked(name: str) -> float:
     """Ask for a measure until the answer is valid."""
     about, kind, example = _QUESTIONS[name]
     while True:
-        sys.stdout.write(f"{name}: {about}, {example:g} for a PhantomX: ")
-        sys.stdout.flush()
-        line = sys.stdin.readline()
-        if not line:
-            raise InputError(f"an answer expected, found the end of the input; in a script, give --{name}")
+        answer = _answered(f"{name}: {about}, {example:g} for a PhantomX: ", f"--{name}")
         try:
-            return float(kind.convert(line.strip(), None, None))
+            return float(kind.convert(answer, None, None))
         except UsageError as error:
             say(error.message)
+
+
+def _answered(question: str, instead: str) -> str:
+    """Return the answer to a question; raise InputError at the end of the input, with the option to give instead."""
+    sys.stdout.write(question)
+    sys.stdout.flush()
+    line = sys.stdin.readline()
+    if not line:
+        raise InputError(f"an answer expected, found the end of the input; in a script, give {instead}")
+    return line.strip()

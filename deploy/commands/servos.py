@@ -161,17 +161,19 @@ def centre(one: _One) -> int:
     """
     from sextant.services.actuator.commissioning import single_servo
 
-    return _turn(one, single_servo.centre, pulse_servos.centre)
+    return _turn(one, single_servo.centre, pulse_servos.centre, for_horn=True)
 
 
 def _turn(
     one: _One,
     of_bus: "Callable[[ServoBus, int, Operator, Callable[[], int]], bool]",
     of_board: "Callable[[str, RobotProfile, int, Operator], bool]",
+    for_horn: bool = False,
 ) -> int:
-    """Turn one servo on a bus, or one behind a board that sends pulses."""
+    """Turn one servo on a bus, or one behind a board that sends pulses; with `for_horn` state the angles of the joints."""
     from sextant.services.actuator.commissioning.single_servo import identify
     from sextant.services.actuator.servo_bus.triage import Opener
+    from sextant.shared.robot.horn_assembly import angles_at_centre
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.robot.servo_proposal import unknown_model
     from sextant.shared.servo.models import MODEL_NAMED
@@ -179,14 +181,19 @@ def _turn(
     if one.robot and one.servo:
         raise InputError("one of --robot and --servo expected, found both: the profile of a robot has the model of its servos")
     if one.servo and one.servo not in MODEL_NAMED:
-        raise InputError(f"--servo: {unknown_model(one.servo)}; hobby servos need --robot, whose profile names their board")
+        raise InputError(f"--servo: {unknown_model(one.servo)}; hobby servos need --robot, see docs/hobby_servos.md")
     profile = load_profile(one.robot) if one.robot else None
     bus = Bus(one.robot or "", one.port, one.echo).checked(profile.servo if profile else None)
     operator = Terminal(one.yes, bus.completed)
-    if profile is not None and profile.servo.pulses is not None:
-        if one.servo_id not in profile.servo_names:
-            channels = f"{min(profile.servo_names)} to {max(profile.servo_names)}"
-            raise InputError(f"a channel of {profile.name} expected, {channels}, found {one.servo_id}")
+    is_hobby = profile is not None and profile.servo.pulses is not None
+    if profile is not None and is_hobby and one.servo_id not in profile.servo_names:
+        channels = f"{min(profile.servo_names)} to {max(profile.servo_names)}"
+        raise InputError(f"a channel of {profile.name} expected, {channels}, found {one.servo_id}")
+    if for_horn and profile:
+        operator.say(f"screw the horn on with the joint at its angle: {angles_at_centre(profile)}")
+    elif for_horn:
+        operator.say("--robot states the angle of each joint at the servo's centre, at which its horn is screwed on")
+    if profile is not None and is_hobby:
         with ended_once():
             return SUCCESS if of_board(bus.port, profile, one.servo_id, operator) else FAILED
     names = {one.servo_id: profile.servo_names.get(one.servo_id, "") if profile else ""}

@@ -23,6 +23,7 @@ _INT64 = range(-(2**63), 2**63)
 # Matches one dotted name more than allowed, because tomllib needs quadratic time and memory in their number.
 _NAME = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DOTTED = re.compile(rf"(?<![\w-])(?:{_NAME}[ \t]*+\.[ \t]*+){{{_MAX_DEPTH}}}")
+_DECIMAL_COMMA = re.compile(r"[^=#\[]*=\s*([+-]?\d{1,15}),(\d{1,15})\s*(?:#|$)")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -106,13 +107,21 @@ def parse_toml(path: Path, data: bytes) -> dict[str, Any]:
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise FileError(path, f"TOML expected, found {_uncapitalized(str(error))}") from None
+        raise FileError(path, f"no valid TOML: {_uncapitalized(str(error))}{_decimal_comma(text, str(error))}") from None
     except RecursionError:
         raise FileError(path, f"TOML expected, found lists or tables more than {_MAX_DEPTH} deep") from None
     except ValueError:  # from Python's limit on the digits of an integer
         raise FileError(path, "whole numbers of at most 64 bits expected, found one of thousands of digits") from None
     _check_plain(path, table, None)
     return table
+
+
+def _decimal_comma(text: str, error: str) -> str:
+    """Return a hint if the line of a TOML error has a number with a decimal comma, else an empty text."""
+    place, lines = re.search(r"at line (\d+)", error), text.splitlines()
+    line = lines[int(place[1]) - 1] if place and int(place[1]) <= len(lines) else ""
+    found = _DECIMAL_COMMA.match(line)
+    return f"; a decimal point is needed: {found[1]}.{found[2]}" if found else ""
 
 
 def read_json(path: Path, most: int = _MAX_TEXT_BYTES) -> Any:

@@ -8,6 +8,7 @@ import numpy as np
 from sextant.shared.files import config
 from sextant.shared.geometry import Array
 
+MM = "(45 mm are 0.045)"  # in errors of lengths
 _MOST_INERTIA = 1e4  # [kg m^2]
 _ROUNDED = 0.5 + 1e-6  # [1] largest share that one moment of inertia may have in the sum of three
 
@@ -52,7 +53,7 @@ class LegLinks:
     femur: float  # [m] femur axis to tibia axis
     tibia: float  # [m] tibia axis to the foot's centre
 
-    checks = (*config.each("coxa femur tibia", lambda length: 0.001 <= length <= 10, "a length of 0.001 to 10 m"),)
+    checks = (*config.each("coxa femur tibia", lambda length: 0.001 <= length <= 10, f"a length of 0.001 to 10 m {MM}"),)
 
     def __post_init__(self) -> None:
         config.verify(self)
@@ -75,7 +76,7 @@ class Body:
     leg_link_inertias: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     checks = (
-        *config.each("size", lambda edge: 0 < edge <= 10, "an edge of more than 0 and at most 10 m"),
+        *config.each("size", lambda edge: 0 < edge <= 10, f"an edge of more than 0 and at most 10 m {MM}"),
         *config.each("mass leg_link_masses", lambda mass: 0 < mass <= 1000, "a mass of more than 0 and at most 1000 kg"),
         config.together(
             "size centre_of_mass",
@@ -124,7 +125,7 @@ class Foot:
 
     radius: float  # [m] of the sphere
 
-    checks = (*config.each("radius", lambda radius: 0 < radius <= 1, "a foot radius of more than 0 and at most 1 m"),)
+    checks = (*config.each("radius", lambda radius: 0 < radius <= 1, f"a foot radius of more than 0 and at most 1 m {MM}"),)
 
     def __post_init__(self) -> None:
         config.verify(self)

@@ -16,6 +16,7 @@ from sextant.shared.robot.servo import Servo, known_model
 from sextant.shared.servo.servo_model import Feedback, ServoModel
 
 _N = len(JOINT_NAMES)
+_LARGEST_RAD = 3.2  # limits in degrees are not all below
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,6 +198,12 @@ def wrong_buses(servo: Servo, groups: tuple[ServoGroup, ...], buses: tuple[BusJo
         if len(families) > 1:
             expected = "servos with the same registers and baud rate on one bus"
             yield config.Misfit(place, expected, f"{' and '.join(known)}; give each of them a bus in [[buses]]")
+
+
+def limits_in_radians(limits: tuple[tuple[float, float], ...]) -> Iterator[config.Misfit]:
+    """Yield limits of a leg that are all as small as radians."""
+    if max(abs(end) for joint in limits for end in joint) < _LARGEST_RAD:
+        yield config.Misfit("servo_limits_deg", "limits in degrees", f"{limits[0]} and others, which look like radians")
 
 
 def beyond_servo(servo: Servo, groups: tuple[ServoGroup, ...], legs: tuple[object, ...]) -> Iterator[config.Misfit]:

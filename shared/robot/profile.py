@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sextant.shared.files import config
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 from sextant.shared.robot import joint_names, joint_servos
-from sextant.shared.robot.body import Body, Foot, LegLinks
+from sextant.shared.robot.body import MM, Body, Foot, LegLinks
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.joint_servos import BusJoints, JointServos, ServoGroup
 from sextant.shared.robot.servo import Battery, Servo
@@ -61,7 +61,7 @@ class Leg:
 
     checks = (
         *config.each("name", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
-        *config.each("mount_xyz", lambda place: abs(place) <= 10, "at most 10 m either way"),
+        *config.each("mount_xyz", lambda place: abs(place) <= 10, f"at most 10 m either way {MM}"),
         *config.each("neutral_yaw_deg", lambda yaw: abs(yaw) <= 360, "-360 to 360 deg"),
         *config.each("servo_ids", lambda servo: 0 <= servo <= 253, "a servo id from 0 to 253"),
         *config.each("servo_signs", lambda sign: sign in (-1, 1), "a servo sign of 1 or -1"),
@@ -70,6 +70,7 @@ class Leg:
             lambda limits: -_MAX_SERVO_DEG <= limits[0] < limits[1] <= _MAX_SERVO_DEG,
             "limits (coxa, femur, tibia) within -180 and 180 deg in rising order",
         ),
+        config.Check(("servo_limits_deg",), joint_servos.limits_in_radians),
     )
 
     def __post_init__(self) -> None:
@@ -102,7 +103,7 @@ class Stance:
         *config.each(
             "foot_radius_from_coxa body_height body_height_range search_radius max_climb rough_lift",
             lambda length: 0 < length <= 10,
-            "more than 0 and at most 10 m",
+            f"more than 0 and at most 10 m {MM}",
         ),
         *config.each("max_lift", lambda lift: 0 < lift <= MAX_CLEARANCE_M, f"more than 0 and at most {MAX_CLEARANCE_M} m"),
         *config.each("stride", lambda length: 0 < length <= MAX_TRAVEL_M, f"more than 0 and at most {MAX_TRAVEL_M} m"),

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import cast
 
 from sextant.shared.files import config
 from sextant.shared.servo import pwm
@@ -12,6 +13,7 @@ from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import Register, ServoModel
 
 _FULL_CELL_V, _WARN_CELL_V, _EMPTY_CELL_V = 4.2, 3.5, 3.3  # [V] of a lithium polymer cell, open circuit
+COMPLIANCE_SLOPE = 32  # the factory's
 WARM_K = 12.0  # [K] below the temperature limit of the servos, from where the robot walks slower
 
 
@@ -32,7 +34,11 @@ def _unknown_model(model: str, numbers: ModelNumbers | None, pulses: pwm.Pulses 
         return
     if numbers is None and model not in MODEL_NAMED:
         known = ", ".join(MODEL_NAMED)
-        yield config.Misfit("model", f"one of {known}, or another with its numbers in [servo.numbers],", repr(model))
+        yield config.Misfit(
+            "model",
+            f"one of {known}, or another with its numbers in [servo.numbers], or {pwm.NAME} for hobby servos,",
+            repr(model),
+        )
     elif numbers is not None and model in MODEL_NAMED:
         yield config.Misfit("model", "a name that no known model has, since [servo.numbers] is stated,", repr(model))
 
@@ -57,7 +63,8 @@ def _wrong_controller(
                 yield config.Misfit(name, f"no {name.replace('_', ' ')} for {model} servos, which have none,", str(value))
         return
     if not values[needed]:
-        yield config.Misfit(needed, f"a {needed_words} of at least 1 for {model} servos", "0")
+        factory = COMPLIANCE_SLOPE if has_slope else found.default(cast(Register, table.position_gain))
+        yield config.Misfit(needed, f"a {needed_words} for {model} servos ({factory} from the factory)", "none")
     if values[other]:
         expected = f"no {other_words} for {model} servos, which have a {needed_words},"
         yield config.Misfit(other, expected, str(values[other]))

@@ -1,13 +1,15 @@
 """Proposed servo data of a profile: by the model of the servos and their voltage, by a file, or by another profile."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast, get_args
 
 from sextant.shared.files import config
 from sextant.shared.robot.profiles import load_profile, profile_names
-from sextant.shared.robot.servo import Battery, Servo, known_model
+from sextant.shared.robot.servo import COMPLIANCE_SLOPE, Battery, Servo, known_model
+from sextant.shared.servo import pwm
 from sextant.shared.servo.custom_model import ModelNumbers
 from sextant.shared.servo.dynamixel import full_torque_ticks
 from sextant.shared.servo.models import MODEL_NAMED
@@ -55,11 +57,12 @@ AT_VOLTS = MappingProxyType(
     }
 )
 _USUAL_VOLTS = MappingProxyType({"XL-320": 7.4, "LX-16A": 7.4, "SCS0009": 6.0})  # without entry above; for others 12 V
-_COMPLIANCE_SLOPE = 32  # the factory's
 _ARMATURE_PER_NM, _FRICTION_PER_NM = 0.002, 0.02  # [kg m^2] and [N m] per N m of stall torque, assumed: those of the AX-12A
 # [kg m^2] armature and [N m] friction of servos that were identified: the STS3215 for Open Duck Mini
 _IDENTIFIED = MappingProxyType({"STS3215": (0.028, 0.052)})
 _DIGITS = 4
+BOARDS = get_args(pwm.Board)  # of hobby servos
+_HOBBY = "printed_ds3218"  # profile with hobby servos
 
 
 def nearest_servo(stall_torque: float | None) -> str:
@@ -99,7 +102,7 @@ def proposed_servo(name: str, stall_torque: float | None = None, volts: float | 
 
 def _proposal(model: ServoModel, torque: float, speed: float) -> dict[str, Any]:
     """Return what a profile says of a servo with a stall torque [N m] and a no-load speed [rad/s], without its model."""
-    gain, slope = model.table.position_gain, _COMPLIANCE_SLOPE if model.table.compliance else 0
+    gain, slope = model.table.position_gain, COMPLIANCE_SLOPE if model.table.compliance else 0
     armature, friction = _IDENTIFIED.get(model.name, (_ARMATURE_PER_NM * torque, _FRICTION_PER_NM * torque))
     p_gain = 0 if gain is None else model.default(gain)
     if gain is not None:
@@ -133,7 +136,8 @@ def chosen_servo(word: str, volts: float | None = None) -> tuple[Servo, Battery]
     servos on a bus only model and stall torque are needed, with [servo.numbers]; the rest is proposed.
 
     Args:
-        word: The model, a profile by name, or the path of a TOML file.
+        word: The model, a board of `BOARDS`, whose servos are those of `printed_ds3218`, a profile by name, or the path of a
+            TOML file.
         volts: [V] voltage of a known model, see `proposed_servo`.
 
     Raises:
@@ -141,9 +145,10 @@ def chosen_servo(word: str, volts: float | None = None) -> tuple[Servo, Battery]
     """
     if word in MODEL_NAMED:
         return proposed_servo(word, volts=volts), proposed_battery(word, volts)
-    if not word.endswith(".toml") and word not in profile_names():
+    if not word.endswith(".toml") and word not in (*profile_names(), *BOARDS):
+        hobby = f"for hobby servos {' or '.join(BOARDS)}, their board, see docs/hobby_servos.md"
         raise config.ConfigError(
-            "--servo", [f"{unknown_model(word)}; a file with its [servo] table, or a profile, is taken, too"]
+            "--servo", [f"{unknown_model(word)}; {hobby}; a file with its [servo] table, or a profile, is taken, too"]
         )
     if volts is not None:
         raise config.ConfigError("--volts", [f"a model with --servo expected, since {word} states its servos' torque itself"])
@@ -151,6 +156,11 @@ def chosen_servo(word: str, volts: float | None = None) -> tuple[Servo, Battery]
     if "servo" in table and not table.keys() - {"servo", "battery"}:
         battery = config.build(table.get("battery", {}), Battery, f"{word}: battery")
         return _servo_of_table(table["servo"], word), battery
+    if word in BOARDS:
+        profile = load_profile(_HOBBY)
+        assert profile.servo.pulses is not None
+        pulses = replace(profile.servo.pulses, board=cast(pwm.Board, word))
+        return replace(profile.servo, pulses=pulses), profile.battery
     profile = load_profile(word)
     return profile.servo, profile.battery
 

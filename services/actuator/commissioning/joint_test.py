@@ -73,7 +73,7 @@ def run_joint_test(
     has_limit = profile.servo_model.has(profile.servo_model.table.torque_limit)
     torque = f"{100 * TORQUE_SHARE:.0f} % of its torque" if has_limit else "its full torque, which these servos cannot limit"
     if not operator.agree(
-        f"Each joint of {len(legs)} legs will move by {STEP_DEG:g} deg and back, one at a time, slowly, with "
+        f"Each joint of {legs_in_words(legs)} will move by {STEP_DEG:g} deg and back, one at a time, slowly, with "
         f"{torque}. Is the robot on a stand, its legs free?"
     ):
         operator.say("nothing was moved, torque is off")
@@ -84,6 +84,13 @@ def run_joint_test(
             moved += (_watched(bus, profile, operator, clock, LEGS.index(leg), joint) for joint in range(len(JOINTS)))
         _leave(bus, operator, hold_after)
     return moved
+
+
+def legs_in_words(legs: Sequence[str]) -> str:
+    """Return legs as "all legs" or "the left front leg"."""
+    if set(legs) == set(LEGS):
+        return "all legs"
+    return f"the {', '.join(legs)} leg{'s' if len(legs) > 1 else ''}"
 
 
 def _watched(bus: AnyBus, profile: RobotProfile, operator: Operator, clock: Callable[[], int], leg: int, joint: int) -> Moved:

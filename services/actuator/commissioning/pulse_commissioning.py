@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sextant.services.actuator.commissioning.calibration import implausible, see_pose, trims_deg
+from sextant.services.actuator.commissioning.joint_test import legs_in_words
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.watched_motion import AGAIN, seen_problem, way_in_words
 from sextant.services.actuator.servo_bus.bus_driver import open_port
@@ -153,7 +154,7 @@ def calibrate(
             kept += 1
     finally:
         servos.set_torque(False)
-    operator.say(f"{kept} of {len(legs)} legs calibrated; torque is off")
+        operator.say(f"{kept} of {len(legs)} legs calibrated; torque is off")
     return kept == len(legs)
 
 
@@ -231,7 +232,7 @@ def run_joint_test(
     servos.setup()
     servos.set_torque(False)
     if not operator.agree(
-        f"Each joint of {len(legs)} legs jumps to its straight pose, then turns by {STEP_DEG:g} deg and back. "
+        f"Each joint of {legs_in_words(legs)} jumps to its straight pose, then turns by {STEP_DEG:g} deg and back. "
         "Bend the legs straight out by hand. Is the robot on a stand, its legs free?"
     ):
         operator.say("nothing was moved, torque is off")
@@ -253,5 +254,5 @@ def run_joint_test(
                     wrong.append(f"{name} {words}: {seen}")
     finally:
         servos.set_torque(False)
-    operator.say("torque is off")
+        operator.say("torque is off")
     return wrong

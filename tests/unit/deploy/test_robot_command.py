@@ -121,13 +121,16 @@ def test_new_asks_for_measures_and_writes_a_profile_that_passes(
 ) -> None:
     asked, given = tmp_path / "asked.toml", tmp_path / "given.toml"
     answers = [str(measure) for measure in MEASURES.values()]
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(["sixty", *answers]) + "\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(["AX12A", "", "sixty", *answers]) + "\n"))
     assert cli.main(["robot", "new", "--out", str(asked)]) == 0
     printed = capsys.readouterr().out
-    assert "a length in metres from 0.005 to 0.5 expected, found 'sixty'" in printed
-    assert f"{asked}: passes the check" in printed
+    assert "no servo model 'AX12A'; did you mean 'AX-12A'?" in printed
+    assert "a length in metres (45 mm are 0.045) from 0.005 to 0.5 expected, found 'sixty'" in printed
+    assert f"{asked}: passes the check; its servos are AX-12A\n" in printed
+    assert f"Next: `sextant robot check {asked}`" in printed
     options = [word for name, measure in MEASURES.items() for word in (f"--{name}", str(measure))]
     assert cli.main(["robot", "new", "--out", str(given), *options]) == 0
+    assert "its servos are AX-12A, assumed: --servo NAME for another" in capsys.readouterr().out
     first, second = load_profile(str(asked)), load_profile(str(given))
     assert (first.links, first.stance, first.legs, first.body) == (second.links, second.stance, second.legs, second.body)
     assert (first.links.coxa, first.links.femur, first.links.tibia) == (0.045, 0.06, 0.11)
@@ -174,6 +177,22 @@ def test_new_takes_servos_by_numbers_from_a_profile_or_for_a_voltage(tmp_path: P
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("servo", ["LX-16A", "pca9685"])
+def test_new_states_the_angles_at_which_horns_are_mounted(
+    servo: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "new.toml"
+    assert cli.main(["robot", "new", "--out", str(path), *OPTIONS, "--servo", servo]) == 0
+    words = "each servo at its centre and its joint at: coxa 0, femur 0, tibia -57.5 deg (bent down)"
+    printed = capsys.readouterr().out
+    assert words in printed
+    assert words in path.read_text(encoding="utf-8")
+    pulses = load_profile(str(path)).servo.pulses
+    assert (pulses.board if pulses else "LX-16A") == servo
+    assert ("those of a DS3218" in printed) == bool(pulses)
+
+
+@pytest.mark.slow
 def test_settings_that_servos_do_not_have_are_not_written(tmp_path: Path) -> None:
     for servo, has in {"AX-12A": "compliance_slope", "STS3215": "position_gain", "XL430-W250": "position_gain"}.items():
         path = tmp_path / f"{servo}.toml".lower()
@@ -186,8 +205,19 @@ def test_settings_that_servos_do_not_have_are_not_written(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--out", "new.toml"], "an answer expected, found the end of the input; in a script, give --coxa"),
-        (["--out", "new.toml", "--coxa", "52"], "--coxa: a length in metres from 0.005 to 0.5 expected, found '52'"),
+        (["--out", "new.toml"], "an answer expected, found the end of the input; in a script, give --servo"),
+        (
+            ["--out", "new.toml", "--servo", "LX-16A"],
+            "an answer expected, found the end of the input; in a script, give --coxa",
+        ),
+        (
+            ["--out", "new.toml", "--servo", "MG996R"],
+            "for hobby servos maestro or pca9685, their board, see docs/hobby_servos.md",
+        ),
+        (
+            ["--out", "new.toml", "--coxa", "52"],
+            "--coxa: a length in metres (45 mm are 0.045) from 0.005 to 0.5 expected, found '52'",
+        ),
         (["--out", "new.toml", "--servo", "AX12A"], "--servo: no servo model 'AX12A'; did you mean 'AX-12A'?"),
         (["--out", "new.toml", "--servo", "XM430-W210"], "state the numbers that differ: docs/servos.md"),
         (["--out", "new.toml", "--servo", "none.toml"], "none.toml: no such file"),

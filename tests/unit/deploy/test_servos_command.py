@@ -430,7 +430,7 @@ def test_one_servo_is_turned_without_a_profile_or_with_one(
     ("words", "hint"),
     [
         (["centre", "7", "--servo", "AX-12A", "--robot", "phantomx_mk2"], "one of --robot and --servo expected, found both"),
-        (["centre", "7", "--servo", "MG996R"], "hobby servos need --robot, whose profile names their board"),
+        (["centre", "7", "--servo", "MG996R"], "hobby servos need --robot, see docs/hobby_servos.md"),
         (["centre", "27", "--robot", "printed_ds3218"], "a channel of printed_ds3218 expected, 0 to 17, found 27"),
         (["find", "254"], "254"),
     ],
@@ -484,3 +484,10 @@ def test_port_is_that_of_the_board(
         assert words in capsys.readouterr().err
     assert cli.main(["up", "onboard", "--camera", "none", *robot, *(["--set", f"actuator.port={port}"] if port else [])]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_centre_states_the_angles_at_which_horns_are_mounted(url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["servos", "centre", "7", "--yes", "--port", url, "--robot", "phantomx_mk2"]) == 0
+    assert "coxa 0, femur 3.5, tibia -46.3 deg (bent down)" in capsys.readouterr().out
+    assert cli.main(["servos", "centre", "7", "--yes", "--port", url]) == 0
+    assert "--robot states the angle of each joint" in capsys.readouterr().out

@@ -269,7 +269,7 @@ def test_calibration_file_is_created_then_updated(tmp_path: Path) -> None:
             'extends = "phantomx_mk2"\ncalibration = []\n',
             "expected, found another notation; nothing was",
         ),
-        ("extends = \n", "TOML expected, found"),
+        ("extends = \n", "no valid TOML: "),
         ('extends = "phantomx_mk2"\n[links]\nshin = 1.0\n', "links.shin: unknown key"),
     ],
 )

@@ -3,6 +3,7 @@
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import date
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -158,3 +159,24 @@ def test_one_servo_wiggles_about_its_middle_and_others_keep_their_pulses(rig: Ri
     assert [min(angles), max(angles)] == pytest.approx([-8.0, 8.0], abs=0.8)
     assert rig.with_pulses == [rig.profile.servo_names[9]]
     assert not pulse_commissioning.wiggle(rig.servos, rig.profile, 4, Operator(agrees=False), pause)
+
+
+@pytest.mark.parametrize("job", ["calibrate", "test"])
+def test_interrupted_job_says_that_torque_is_off(job: str) -> None:
+    rig = Rig("maestro")
+
+    def interrupted(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    def run() -> None:
+        if job == "test":
+            pulse_commissioning.run_joint_test(rig.servos, rig.profile, operator, interrupted, legs=["left front"])
+        pose = (0.0, 0.0, 0.0)
+        pulse_commissioning.calibrate(rig.servos, rig.profile, operator, interrupted, TODAY, legs=["left front"], pose_deg=pose)
+
+    operator = Operator()
+    operator.ask = interrupted  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert operator.told[-1].endswith("torque is off")
+    assert job == "calibrate" or operator.told[0].startswith("Each joint of the left front leg jumps")

@@ -31,7 +31,8 @@ FILE = Path("some.file")
         (b"a." * 100_000 + b"d = 1", "names joined by dots"),
         (b"a = " + b"9" * 5000, "whole numbers of at most 64 bits expected"),
         (b"a.b = [1, 0x" + b"f" * 500_000 + b"]", r"a\.b\[1\]: a whole number of at most 64 bits expected, found one of 20"),
-        (b"a = 1\n= 3\n", "TOML expected, found invalid statement .at line 2"),
+        (b"a = 1\nb = -1,5  # [m]\n", "after a statement .at line 2, column 7.; a decimal point is needed: -1.5"),
+        (b"a = 1\n= 3\n", "no valid TOML: invalid statement .at line 2"),
         (b"a = 1\0", "zero bytes"),
     ],
 )

@@ -183,6 +183,10 @@ WIDE = (*LEG.servo_limits_deg[:2], (-55.0, 151.0))
 @pytest.mark.parametrize(
     ("make", "words"),
     [
+        (
+            lambda: replace(PROFILE.legs[0], servo_limits_deg=((-1.3, 0.8), (-1.7, 1.7), (-2.5, 0.5))),
+            r"servo_limits_deg: limits in degrees expected, found \(-1.3, 0.8\) and others, which look like radians",
+        ),
         (lambda: LegLinks(0.05, 0.0, 0.1), "femur: a length of 0.001 to 10 m"),
         (lambda: replace(LEG, name="middle"), "name: one of left front"),
         (lambda: replace(LEG, servo_signs=(1, 0, 1)), r"servo_signs\[1\]: a servo sign of 1 or -1"),
@@ -196,7 +200,10 @@ WIDE = (*LEG.servo_limits_deg[:2], (-55.0, 151.0))
             r"legs\[0\].servo_limits_deg\[2\]: limits within -150 and 150 deg, the range of AX-12A servos, expected",
         ),
         (lambda: replace(PROFILE.servo, position_gain=32), "no position gain for AX-12A servos, which have a compliance slope"),
-        (lambda: replace(PROFILE.servo, model="MX-28", compliance_slope=0), "a position gain of at least 1 for MX-28 servos"),
+        (
+            lambda: replace(PROFILE.servo, model="MX-28", compliance_slope=0),
+            r"a position gain for MX-28 servos \(32 from the factory\) expected, found none",
+        ),
         (lambda: replace(LEG, servo_ids=(1, 2, 254)), r"servo_ids\[2\]: a servo id from 0 to 253 expected, found 254"),
         (
             lambda: replace(PROFILE, legs=PROFILE.legs[::-1]),
@@ -211,7 +218,10 @@ WIDE = (*LEG.servo_limits_deg[:2], (-55.0, 151.0))
         (lambda: Foot(0.0), "radius: a foot radius of more"),
         (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), r"size\[2\]: an edge of more than 0 and"),
         (lambda: replace(PROFILE.servo, no_load_speed=0.0), "no_load_speed: more than 0 and"),
-        (lambda: Servo("AX-12A", 1.5, 6.0, 9.0, 0.0, 0.0), "a compliance slope of at least 1 for AX-12A servos"),
+        (
+            lambda: Servo("AX-12A", 1.5, 6.0, 9.0, 0.0, 0.0),
+            r"a compliance slope for AX-12A servos \(32 from the factory\) expected, found none",
+        ),
         (lambda: Intrinsics(0, 480, 585.0, 585.0, 1.0, 1.0), "width: 1 to 4096 pixels"),
         (lambda: Intrinsics(640, 480, 0.0, 585.0, 1.0, 1.0), "fx: a focal length of 1 to"),
         (lambda: DepthSensor(min_range=2.0, max_range=1.0), "min_range below max_range"),
@@ -274,13 +284,13 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "servo.model": ("AX-19", f"servo.model: one of {', '.join(MODEL_NAMED)}, or another with its numbers"),
     "servo.compliance_slope": (255, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 255"),
     "servo.armature": ("little", "servo.armature: a number expected, found 'little'"),
-    "links.femur": (0.0, "links.femur: a length of 0.001 to 10 m expected, found 0.0"),
+    "links.femur": (0.0, "links.femur: a length of 0.001 to 10 m (45 mm are 0.045) expected, found 0.0"),
     "links.tibia": (None, "links.tibia: missing"),
     "links.shin": (0.1, "links.shin: unknown key"),
-    "body.size[2]": (-0.1, r"body.size[2]: an edge of more than 0 and at most 10 m expected, found -0.1"),
+    "body.size[2]": (-0.1, r"body.size[2]: an edge of more than 0 and at most 10 m (45 mm are 0.045) expected, found -0.1"),
     "body.leg_link_masses": ([0.1, 0.1], "body.leg_link_masses: a list of 3 values expected, found 2"),
     "body.mass": (float("inf"), "body.mass: a finite number expected, found inf"),
-    "foot.radius": (-0.01, "foot.radius: a foot radius of more than 0 and at most 1 m expected, found -0.01"),
+    "foot.radius": (-0.01, "foot.radius: a foot radius of more than 0 and at most 1 m (45 mm are 0.045) expected, found -0.01"),
     "stance.body_height": (0.5, "stance.body_height: a body height within its range expected, found body_height = 0.5"),
     "stance.max_speed": (0.0, "stance.max_speed: more than 0 and at most 100 m/s expected, found 0.0"),
     "camera.pitch_down_deg": (120.0, "camera.pitch_down_deg: an angle from -45 (up) to 90 (straight down) expected"),
