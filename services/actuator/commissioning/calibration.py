@@ -80,7 +80,7 @@ def implausible(trims: Array) -> str:
         return ""
     return (
         f"trims of at most {MAX_TRIM_DEG:g} deg either way expected, found {', '.join(far)}: the leg is not in the pose, the "
-        f"servo is another joint's, or its horn is mounted one notch off (take it off and mount it straight)"
+        f"servo is another joint's, or its horn is not mounted at its angle: `sextant servos centre ID --robot FILE` states it"
     )
 
 

@@ -107,7 +107,7 @@ class CalibratedRobot:
         """Return why the horns of a leg are not written."""
         off = float(np.abs(self.trims_deg[leg]).max())
         if off > MAX_TRIM_DEG:
-            return f"one is off by {off:.0f} deg, at most {MAX_TRIM_DEG:g} deg expected; mount it straight, and calibrate again"
+            return f"one is off by {off:.0f} deg, at most {MAX_TRIM_DEG:g} deg expected; mount it again, and calibrate again"
         return "it stood on the floor too rarely; calibrate again"
 
 

@@ -136,6 +136,7 @@ def test_leg_outside_reference_pose_is_refused_and_repeated() -> None:
     _, kept, builder = run_calibration(desk, [bend(desk, LEGS[0], (0.0, 45.0, 0.0)), bend(desk, LEGS[0]), ""], legs=LEGS[:1])
     assert "trims of at most 20 deg either way expected, found femur" in builder.told[0]
     assert len(kept) == 1
+    assert "its horn is not mounted at its angle: `sextant servos centre ID --robot FILE` states it" in builder.all_told
 
 
 def test_moving_leg_is_not_measured() -> None:
