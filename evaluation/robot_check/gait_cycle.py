@@ -29,12 +29,14 @@ class GaitCycle:
 
     speed: float  # [m/s] of the body
     step_s: float  # [s] duration of a step
+    sample_s: float  # [s] between two samples
     travel: float  # [m] of the body in a step
+    lift: float  # [m] clearance of a swing
     feet: Array  # (n, 6, 3) [m] {body}
     share: Array  # (n, 6) share of its load that each leg may carry, 0 to 1
     q: Array  # (n, 6, 3) [rad]
     rate: Array  # (n, 6, 3) [rad/s]
-    torque: Array  # (n, 6, 3) [N m] of the motors
+    torque: Array  # (n, 6, 3) [N m] of the motors that follow the path exactly, also beyond their stall torque
     standing_torque: Array  # (n, 6, 3) [N m] the static part alone
 
     @property
@@ -71,7 +73,7 @@ def walk_cycle(profile: RobotProfile, gait_name: GaitName, body_height: float | 
     duration, rest = stance.step_s * gait.pace, profile.rest_feet(body_height)
     travel = min(stance.max_speed * duration, stance.stride / gait.stances)
     ahead = np.array([travel * gait.stances / 2, 0.0, 0.0])
-    lift = np.full(6, min(_LIFT_M, stance.max_lift))
+    lift = np.full(6, clearance := min(_LIFT_M, stance.max_lift))
     way = (rest - ahead, rest + ahead + [travel, 0.0, 0.0])  # over the ground, while the body moves by `travel`
     duration = max(duration, float(time_to_swing(profile, StepParams(), *way, lift).max()))
 
@@ -92,7 +94,7 @@ def walk_cycle(profile: RobotProfile, gait_name: GaitName, body_height: float | 
     static = np.array([standing_torques(profile, *now) for now in zip(q, feet, shares, strict=True)])
     servos = profile.servos
     moving = servos.damping * rate + servos.friction * np.sign(rate) + servos.armature * acceleration
-    return GaitCycle(travel / duration, duration, travel, feet, shares, q, rate, static + moving, static)
+    return GaitCycle(travel / duration, duration, dt, travel, clearance, feet, shares, q, rate, static + moving, static)
 
 
 def _swing(start: Array, end: Array, lift: Array, duration: float, n: int) -> tuple[Array, Array]:

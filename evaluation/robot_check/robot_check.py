@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from sextant.evaluation.robot_check.foot_lag import lag_limits
 from sextant.evaluation.robot_check.gait_cycle import GaitCycle, standing_torques, walk_cycle
 from sextant.evaluation.robot_check.ground_limits import GroundLimit, find_ground_limits
 from sextant.evaluation.robot_check.likely_mistakes import doubtful_numbers, misplaced_legs
+from sextant.evaluation.robot_check.limit import Limit, in_cm
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.services.planner.locomotion.step_planner import SHARES
 from sextant.shared.geometry import Array
@@ -37,22 +39,10 @@ class Load:
     body_height: float  # [m]
     speed: float  # [m/s]
     static: tuple[float, float, float]  # largest torque that holds the robot
-    peak: tuple[float, float, float]  # largest torque including motion
+    peak: tuple[float, float, float]  # largest torque that the planned motion needs; a servo gives at most 1
     rms: tuple[float, float, float]  # root mean square of the worst leg
     minutes: float  # [min] until the first servo reaches its temperature limit, infinite if none does
     temperature: float  # [deg C] that the hottest servo approaches
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """One property of the robot and the value that limits it."""
-
-    name: str
-    value: float
-    needed: float | None  # the least or largest acceptable value; None: any
-    unit: str
-    is_met: bool
-    sentence: str  # what limits it, and what to change
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +75,7 @@ def check_robot(profile: RobotProfile) -> RobotCheck:
         *_reach(profile),
         *_joints(profile, tripod),
         *_torque(profile, loads),
+        *lag_limits(profile, cycles),
         _heat(profile, _walking(profile, "tripod", profile.stance.body_height, tripod)),
         _speed(profile, tripod),
         _support(profile, tripod),
@@ -144,7 +135,8 @@ def _reach(profile: RobotProfile) -> Iterator[Limit]:
     stance = profile.stance
     (low, high), (lowest, highest) = height_range(profile), stance.body_height_range
     words = (
-        f"resting feet reach the ground from {_cm(low)} to {_cm(high)}, body_height_range uses {_cm(lowest)} to {_cm(highest)}"
+        f"resting feet reach the ground from {in_cm(low)} to {in_cm(high)}, "
+        f"body_height_range uses {in_cm(lowest)} to {in_cm(highest)}"
     )
     fits = low <= lowest + 1e-3 and highest <= high + 1e-3
     yield Limit("height", high - low, highest - lowest, "m", fits, f"{words}; stance.foot_radius_from_coxa moves both ends")
@@ -154,7 +146,7 @@ def _reach(profile: RobotProfile) -> Iterator[Limit]:
         ("stride, high", highest, min(SHARES) * stance.stride),
     ):
         found = longest_stride(profile, height)
-        words = f"at a body height of {_cm(height)} a stride of {_cm(found.length)} is possible, {_cm(needed)} needed"
+        words = f"at a body height of {in_cm(height)} a stride of {in_cm(found.length)} is possible, {in_cm(needed)} needed"
         change = "change stance.foot_radius_from_coxa, stance.stride or the height"
         is_met = found.length >= needed - 1e-9
         yield Limit(place, found.length, needed, "m", is_met, f"{words}; limited by {found.limited_by}: {change}")
@@ -183,7 +175,7 @@ def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
         most = _PROTECTION.mean_duty
         name = "standing" if gait == _STAND else f"the {gait} gait"
         words = (
-            f"{name} takes {share:.0%} of the stall torque at a {joint}, at a body height of {_cm(worst.body_height)}; "
+            f"{name} takes {share:.0%} of the stall torque at a {joint}, at a body height of {in_cm(worst.body_height)}; "
             "feet nearer to the coxa (stance.foot_radius_from_coxa) or less body.mass lower it"
         )
         yield Limit(f"torque, {gait}", share, most, "of stall torque", share <= most, words)
@@ -227,8 +219,8 @@ def _speed(profile: RobotProfile, cycle: GaitCycle) -> Limit:
 def _support(profile: RobotProfile, cycle: GaitCycle) -> Limit:
     margin, needed = least_support_margin(profile, cycle.feet, cycle.share), profile.stance.support_margin
     words = (
-        f"in the tripod gait the centre of mass stays {_cm(margin)} inside the standing feet, stance.support_margin needs "
-        f"{_cm(needed)}; a shorter stance.stride, a wider stance or body.centre_of_mass in the middle adds to it"
+        f"in the tripod gait the centre of mass stays {in_cm(margin)} inside the standing feet, stance.support_margin needs "
+        f"{in_cm(needed)}; a shorter stance.stride, a wider stance or body.centre_of_mass in the middle adds to it"
     )
     return Limit("support margin", margin, needed, "m", margin >= needed, words)
 
@@ -236,8 +228,10 @@ def _support(profile: RobotProfile, cycle: GaitCycle) -> Limit:
 def _ground(profile: RobotProfile) -> Iterator[Limit]:
     found = find_ground_limits(profile)
     for name, limit in (("step up", found.riser), ("step down", found.drop), ("gap", found.gap)):
-        unit = _cm(limit.passed)
-        words = f"the step planner passes a {name} of {unit}{_then(limit, '' if limit.refused is None else _cm(limit.refused))}"
+        unit = in_cm(limit.passed)
+        words = (
+            f"the step planner passes a {name} of {unit}{_then(limit, '' if limit.refused is None else in_cm(limit.refused))}"
+        )
         yield Limit(name, limit.passed, _MIN_OBSTACLE_M, "m", limit.passed >= _MIN_OBSTACLE_M - 1e-9, words)
     slope, refused = math.degrees(found.slope.passed), found.slope.refused
     words = f"the step planner passes a slope of {slope:.0f} deg"
@@ -248,10 +242,6 @@ def _ground(profile: RobotProfile) -> Iterator[Limit]:
 def _then(limit: GroundLimit, refused: str) -> str:
     """Return why the next larger obstacle is not passed, as the end of a sentence."""
     return f"; at {refused}: {limit.reason}" if refused else ", the largest that was tried"
-
-
-def _cm(length: float) -> str:
-    return f"{100 * length:.1f} cm"
 
 
 def _plain(value: Any) -> Any:
@@ -271,7 +261,7 @@ def describe(check: RobotCheck) -> str:
     lines = [
         f"{check.robot}: {'passes' if check.passes else 'fails'}",
         "",
-        "shares of the stall torque [%], coxa / femur / tibia",
+        "shares of the stall torque [%], coxa / femur / tibia; peak: what exact paths need, a servo gives at most 100",
         "gait      height     speed       static          peak           rms     lasts",
     ]
     for load in check.loads:
@@ -279,10 +269,8 @@ def describe(check: RobotCheck) -> str:
             " /".join(f"{100 * part:3.0f}" for part in shares) for shares in (load.static, load.peak, load.rms)
         )
         lasts = "hours" if math.isinf(load.minutes) else f"{load.minutes:.0f} min"
-        row = (
-            f"{load.gait:7} {_cm(load.body_height):>8} {100 * load.speed:5.1f} cm/s {static:>14}{peak:>14}{rms:>14} {lasts:>9}"
-        )
-        lines.append(row)
+        how = f"{load.gait:7} {in_cm(load.body_height):>8} {100 * load.speed:5.1f} cm/s"
+        lines.append(f"{how} {static:>14}{peak:>14}{rms:>14} {lasts:>9}")
     width = max(len(limit.name) for limit in check.limits)
     for limit in check.limits:
         start = f"{'ok  ' if limit.is_met else 'FAIL'}  {limit.name:{width}}  "

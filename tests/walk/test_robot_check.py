@@ -2,15 +2,20 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sextant.deploy import cli
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
+from sextant.evaluation.robot_check.foot_lag import foot_lag
 from sextant.evaluation.robot_check.gait_cycle import standing_torques, walk_cycle
 from sextant.evaluation.robot_check.ground_limits import find_ground_limits
-from sextant.shared.robot.kinematics import body_inverse
+from sextant.evaluation.whole_maps.terrain_map import RESOLUTION_M
+from sextant.services.actuator.locomotion.joint_goals import JointGoals
+from sextant.services.actuator.locomotion.step_executor import Targets
+from sextant.shared.robot.kinematics import body_forward, body_inverse, nearest_reachable
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode
@@ -37,6 +42,38 @@ def test_rms_torque_of_the_worst_joint_is_that_of_the_simulated_walk(robot: str,
     walked = walk(replace(flat(distance), robot=robot), 1000)
     computed = walk_cycle(load_profile(robot), "tripod").rms_torque.max()
     assert computed == pytest.approx(walked.report.torque_nm.rms_worst_joint, rel=0.1)
+
+
+@pytest.mark.parametrize("robot", ["printed_sts3215", "printed_ds3218"])
+def test_feet_of_the_simulated_robot_lag_as_computed(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exact paths need more than the stall torque at the lowest body height; the feet are late, and land on their places."""
+    profile = load_profile(robot)
+    low = profile.stance.body_height_range[0]
+    paths: list[tuple[int, np.ndarray, np.ndarray]] = []  # time [ns], feet [m] {body}, share of the load
+
+    def follow(goals: JointGoals, targets: Targets, *others: Any) -> Any:
+        paths.append((run.now_ns(), nearest_reachable(profile, targets.feet), targets.share.copy()))
+        return usual(goals, targets, *others)
+
+    usual = JointGoals.follow
+    monkeypatch.setattr(JointGoals, "follow", follow)
+    heard, scenario = Heard((topics.TRUTH,)), flat(0.6)
+    scenario = replace(scenario, robot=robot, walk=replace(scenario.walk, body_height=low))
+    run = LockstepRun(scenario, 1000, profile, heard.tap, every_frame=False)
+    while not run.attendance.over():
+        run.run(run.now_ns() + S // 2)
+    assert run.attendance.judge(1.0, in_a_hurry=True).success
+
+    begun_ns = 7 * S  # the body is at its height
+    truths = heard.of(topics.TRUTH)
+    times, feet, shares = (np.array(part) for part in zip(*(path for path in paths if path[0] >= begun_ns), strict=True))
+    at = np.searchsorted([truth.stamp_ns for truth in truths], times).clip(max=len(truths) - 1)
+    lag = np.linalg.norm([body_forward(profile, truths[k].q) for k in at.tolist()] - feet, axis=-1)
+    touchdown = lag[1:][(shares[1:] > 0.0) & (shares[:-1] == 0.0)]
+    computed = foot_lag(profile, walk_cycle(profile, "tripod", low))
+    assert np.percentile(lag[shares == 0.0], 99) == pytest.approx(computed.in_air, abs=0.006)
+    assert np.median(touchdown) == pytest.approx(computed.on_ground, abs=0.003)
+    assert touchdown.max() < RESOLUTION_M
 
 
 STEP = """

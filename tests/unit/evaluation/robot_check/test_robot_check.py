@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sextant.evaluation.robot_check.foot_lag import foot_lag
 from sextant.evaluation.robot_check.gait_cycle import standing_torques, walk_cycle
 from sextant.evaluation.robot_check.ground_limits import find_ground_limits
 from sextant.evaluation.robot_check.robot_check import MIN_MINUTES, RobotCheck, check_robot, describe
@@ -53,6 +54,12 @@ def test_shipped_profiles_pass(name: str) -> None:
         ("servo", {"stall_torque": 0.8}, "heat", r"for \d+ min, then a servo reaches 70 deg C"),
         ("servo", {"stiffness": 18.0}, "stiffness", r"servo.stiffness is 18 N m/rad, that of an AX-12A at its setting 9.16"),
         ("servo", {"no_load_speed": 3.0}, "joint speed", "a lower stance.foot_speed slows swings"),
+        (
+            "servo",
+            {"armature": 0.1},
+            "lag at touchdown",
+            r"\(\w+ gait, body height [\d.]+ cm\).*; a stance.foot_speed of 0\.\d+",
+        ),
         ("stance", {"stride": 0.19}, "stride", r"19.0 cm needed; limited by the \w+ \w+ leg, by its coxa joint"),
         ("body", {"centre_of_mass": (0.11, 0.0, 0.0)}, "support margin", "body.centre_of_mass in the middle adds to it"),
     ],
@@ -110,6 +117,38 @@ def test_cycle_is_that_of_the_gait(gait: str) -> None:
     np.testing.assert_allclose(ahead, -cycle.travel / (len(cycle.feet) / len(GAITS[gait].groups)), atol=1e-9)
     # The vertical forces are those of gravity at every moment: without motion, the body would not accelerate.
     assert cycle.speed <= PROFILE.stance.max_speed + 1e-9
+
+
+@pytest.mark.parametrize("name", ["phantomx_mk2", "printed_sts3215", "printed_ds3218"])
+def test_feet_lag_less_with_more_torque_and_at_lower_speed(name: str) -> None:
+    robot = load_profile(name)
+    low = robot.stance.body_height_range[0]
+
+    def lag(torque: float, speed: float) -> tuple[float, float]:
+        servo, stance = robot.servo, robot.stance
+        servo = replace(servo, stall_torque=torque * servo.stall_torque, no_load_speed=torque * servo.no_load_speed)
+        changed = replace(robot, servo=servo, stance=replace(stance, foot_speed=speed * stance.foot_speed))
+        found = foot_lag(changed, walk_cycle(changed, "tripod", low))
+        return found.in_air, found.on_ground
+
+    (weak, _), (usual, usual_at_end), (strong, _), (slow, slow_at_end) = (
+        lag(*factors) for factors in ((0.5, 1.0), (1.0, 1.0), (4.0, 1.0), (1.0, 0.5))
+    )
+    assert weak > usual >= strong > slow
+    assert usual_at_end > slow_at_end
+
+
+def test_torque_beyond_the_stall_torque_is_explained() -> None:
+    """The path begins faster than an STS3215 can accelerate; the foot is late for an instant, and in place at touchdown."""
+    limits = {limit.name: limit for limit in check_robot(load_profile("printed_sts3215")).limits}
+    words = limits["lag in the air"].sentence
+    assert re.search(r"exact paths need 1\d\d% of the stall torque at a femur .* for \d+ ms, and a servo gives 100%", words)
+    found = re.search(r"a stance.foot_speed of ([\d.]+) m/s avoids that", words)
+    assert found is not None
+    robot = load_profile("printed_sts3215")
+    slower = replace(robot, stance=replace(robot.stance, foot_speed=float(found[1])))
+    cycle = walk_cycle(slower, "tripod", robot.stance.body_height_range[0])
+    assert (np.abs(cycle.torque) <= slower.servos.stall_torque).all()
 
 
 def test_hot_servos_get_longer_steps_until_they_last() -> None:
