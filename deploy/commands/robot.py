@@ -174,7 +174,7 @@ def new(out: str, measured: _Measured, servo: str | None, volts: float | None) -
     camera are proposed.
     """
     from sextant.evaluation.robot_check.robot_check import check_robot
-    from sextant.evaluation.robot_check.slowed_robot import slow_down
+    from sextant.evaluation.robot_check.walking_pace import slow_down
     from sextant.shared.robot.horn_assembly import angles_at_centre
     from sextant.shared.robot.new_profile import Measures, new_profile
     from sextant.shared.robot.profile_text import require_new_file, write_new_profile

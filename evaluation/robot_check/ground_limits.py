@@ -6,6 +6,7 @@ real walk also depends on what the camera sees and on the servos, so the limits 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -42,27 +43,34 @@ class GroundLimits:
     slope: GroundLimit  # [rad] of a ramp up
 
 
+Obstacle = Literal["riser", "drop", "gap", "slope"]
+_CENTIMETRES = np.arange(1, 21) / 100
+_TRIED: dict[Obstacle, Array] = {  # rising values of each obstacle
+    "riser": _CENTIMETRES,
+    "drop": _CENTIMETRES,
+    "gap": 2.0 * _CENTIMETRES,
+    "slope": np.radians(np.arange(3, 46, 3)),
+}
+
+
 def find_ground_limits(profile: RobotProfile) -> GroundLimits:
     """Return the largest obstacles that the step planner of a robot passes."""
     walker = _Walker(profile)
-    start = 3.0 * walker.half_length  # [m] from the start to the obstacle
+    return GroundLimits(**{obstacle: walker.largest(obstacle, values) for obstacle, values in _TRIED.items()})
 
-    def riser(x: Array, height: float) -> Array:
-        return np.where(x < start, 0.0, height)
 
-    def gap(x: Array, width: float) -> Array:
-        return np.where((x > start) & (x < start + width), -_DEPTH_M, 0.0)
+def refusal(profile: RobotProfile, obstacle: Obstacle, value: float) -> str:
+    """Return why the step planner of a robot does not pass an obstacle [m, rad], or an empty string if it does."""
+    return _Walker(profile).refusal(obstacle, value)
 
-    def slope(x: Array, angle: float) -> Array:
-        return np.asarray(np.tan(angle) * np.maximum(x - start, 0.0))
 
-    centimetres = np.arange(1, 21) / 100
-    return GroundLimits(
-        riser=walker.largest(riser, centimetres, start),
-        drop=walker.largest(lambda x, depth: riser(x, -depth), centimetres, start),
-        gap=walker.largest(gap, 2.0 * centimetres, start),
-        slope=walker.largest(slope, np.radians(np.arange(3, 46, 3)), start),
-    )
+def _height(obstacle: Obstacle, value: float, x: Array) -> Array:
+    """Return the height [m] of the ground at x [m] from the beginning of an obstacle."""
+    if obstacle == "slope":
+        return np.asarray(np.tan(value) * np.maximum(x, 0.0))
+    if obstacle == "gap":
+        return np.where((x > 0.0) & (x < value), -_DEPTH_M, 0.0)
+    return np.where(x < 0.0, 0.0, value if obstacle == "riser" else -value)
 
 
 class _Walker:
@@ -72,33 +80,26 @@ class _Walker:
         self._profile, self._planner = profile, StepPlanner(profile)
         self._height = profile.stance.body_height
         self._rest = profile.rest_feet()
-        self.half_length = float(np.abs(self._rest[:, 0]).max())  # [m] of the stance
+        self._half_length = float(np.abs(self._rest[:, 0]).max())  # [m] of the stance
         around = max(_AROUND_M, 2.0 * profile.stance.search_radius)
         self._behind, self._aside = (np.abs(self._rest[:, :2]).max(axis=0) + around).tolist()  # [m] size of the maps
         speed = np.array([profile.stance.max_speed, 0.0])
         self._command = VelocityCommand(0, speed, 0.0, self._height, min(_LIFT_M, profile.stance.max_lift))
 
-    def largest(self, ground: Callable[[Array, float], Array], values: Array, start: float) -> GroundLimit:
-        """Return the limit among rising values of an obstacle.
-
-        Args:
-            ground: Returns heights [m] of the ground at x [m], given a value of the obstacle.
-            values: Values to try.
-            start: [m] where the obstacle begins.
-        """
+    def largest(self, obstacle: Obstacle, values: Array) -> GroundLimit:
+        """Return the limit among rising values of an obstacle."""
         passed = 0.0
         for value in values.tolist():
-            goal = start + 3.0 * self.half_length + 2.0 * RESOLUTION_M
-            goal += value if np.isclose(ground(np.array([goal + 9.0]), value)[0], 0.0) else 0.0  # beyond a gap
-            reason = self._walk(ground, value, goal)
-            if reason:
+            if reason := self.refusal(obstacle, value):
                 return GroundLimit(passed, value, reason)
             passed = value
         return GroundLimit(passed, None, "")
 
-    def _walk(self, ground: Callable[[Array, float], Array], value: float, goal: float) -> str:
-        """Return why a walk to x = `goal` [m] ends early, or ""."""
-        terrain = self._terrain(lambda x: ground(x, value), goal + 2.0 * self.half_length)
+    def refusal(self, obstacle: Obstacle, value: float) -> str:
+        """Return why a walk over an obstacle ends early, or ""."""
+        start = 3.0 * self._half_length  # [m] from the start to the obstacle
+        goal = start + 3.0 * self._half_length + 2.0 * RESOLUTION_M + (value if obstacle == "gap" else 0.0)
+        terrain = self._terrain(lambda x: _height(obstacle, value, x - start), goal + 2.0 * self._half_length)
         body = from_xyz_rpy((0.0, 0.0, self._height), np.zeros(3))
         feet = apply(body, self._rest)
         gait = gait_of(self._command.gait)

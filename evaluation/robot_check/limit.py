@@ -1,6 +1,9 @@
-"""One property of a robot, and the value that limits it."""
+"""Limits of a robot, and the values that a profile has to meet."""
 
 from dataclasses import dataclass
+
+MIN_MINUTES = 20.0  # [min] of walking that the servos must bear, about what a battery lasts
+MAX_SPEED_SHARE = 0.9  # [1] of the no-load speed: faster joints are late
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,11 @@ import numpy as np
 
 from sextant.evaluation.robot_check.foot_lag import lag_limits
 from sextant.evaluation.robot_check.gait_cycle import GaitCycle, standing_torques, walk_cycle
-from sextant.evaluation.robot_check.ground_limits import GroundLimit, find_ground_limits
+from sextant.evaluation.robot_check.ground_limits import GroundLimit, Obstacle, find_ground_limits
 from sextant.evaluation.robot_check.likely_mistakes import doubtful_numbers, misplaced_legs
-from sextant.evaluation.robot_check.limit import Limit, in_cm
+from sextant.evaluation.robot_check.limit import MAX_SPEED_SHARE, MIN_MINUTES, Limit, in_cm
+from sextant.evaluation.robot_check.remedies import ground_remedy, room_remedy, speed_remedy
+from sextant.services.actuator.locomotion.feedforward import centre_of_mass, leg_shapes
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.services.planner.locomotion.step_planner import SHARES
 from sextant.shared.geometry import Array
@@ -23,8 +25,6 @@ from sextant.shared.robot.reach import height_range, joint_room, least_support_m
 from sextant.shared.servo.protection import Protection
 
 _PROTECTION = Protection()
-MIN_MINUTES = 20.0  # [min] of walking that the servos must bear, about what a battery lasts
-MAX_SPEED_SHARE = 0.9  # [1] of the no-load speed: faster joints are late
 _STIFFNESS_SHARE = 0.25  # [1] by which the stiffness may differ from stall torque over compliance slope
 _MIN_OBSTACLE_M, _MIN_SLOPE_DEG = 0.02, 3.0  # obstacles that any walking robot must pass
 _STAND = "stand"
@@ -50,6 +50,7 @@ class RobotCheck:
     """Result of the check of a profile."""
 
     robot: str
+    centre_of_mass: tuple[float, float, float]  # [m] {body} of the standing robot
     loads: tuple[Load, ...]
     limits: tuple[Limit, ...]
 
@@ -70,6 +71,7 @@ def check_robot(profile: RobotProfile) -> RobotCheck:
     loads = [_standing(profile, height) for height in heights]
     loads += [_walking(profile, gait, height, cycle) for (gait, height), cycle in cycles.items()]
     tripod = cycles["tripod", profile.stance.body_height]
+    centre = centre_of_mass(profile, leg_shapes(profile, body_inverse(profile, profile.rest_feet())))
     limits = (
         *_mistakes(profile),
         *_reach(profile),
@@ -78,10 +80,10 @@ def check_robot(profile: RobotProfile) -> RobotCheck:
         *lag_limits(profile, cycles),
         _heat(profile, _walking(profile, "tripod", profile.stance.body_height, tripod)),
         _speed(profile, tripod),
-        _support(profile, tripod),
+        _support(profile, tripod, centre),
         *_ground(profile),
     )
-    return RobotCheck(profile.name, tuple(loads), limits)
+    return RobotCheck(profile.name, centre, tuple(loads), limits)
 
 
 # -------------------------------------------------------------------------------------------------------------- loads
@@ -154,10 +156,10 @@ def _reach(profile: RobotProfile) -> Iterator[Limit]:
 
 def _joints(profile: RobotProfile, cycle: GaitCycle) -> Iterator[Limit]:
     room = np.degrees(joint_room(profile, cycle.q, cycle.share))
-    worst = int(np.argmin(room))
+    least = float(room.min())
     listed = ", ".join(f"{joint} {angle:.0f}" for joint, angle in zip(JOINTS, room.tolist(), strict=True))
-    words = f"standing legs of the tripod gait keep {listed} deg from their limits; legs.servo_limits_deg sets them"
-    yield Limit("joint room", float(room[worst]), 0.0, "deg", bool(room[worst] >= 0.0), words)
+    words = f"standing legs of the tripod gait keep {listed} deg from their limits; {room_remedy(profile, math.radians(least))}"
+    yield Limit("joint room", least, 0.0, "deg", least >= 0.0, words)
     fastest = (np.abs(cycle.rate).max(axis=0) / profile.servos.no_load_speed).max(axis=0)
     worst = int(np.argmax(fastest))
     share = f"{fastest[worst]:.0%} of servo.no_load_speed"
@@ -180,12 +182,12 @@ def _torque(profile: RobotProfile, loads: list[Load]) -> Iterator[Limit]:
         )
         yield Limit(f"torque, {gait}", share, most, "of stall torque", share <= most, words)
     servo = max(profile.servos.each, key=lambda one: abs(one.stiffness / one.nominal_stiffness - 1.0))
-    ratio = servo.stiffness / servo.nominal_stiffness
-    words = (
-        f"servo.stiffness is {servo.stiffness:g} N m/rad, that of an {servo.model} at its setting "
-        f"{servo.nominal_stiffness:.3g} N m/rad; "
-        "a wrong one makes the body sag"
-    )
+    ratio, table = servo.stiffness / servo.nominal_stiffness, servo.servo_model.table
+    if table.position_gain or table.compliance:
+        expected = f"the setting of the {servo.model} gives {servo.nominal_stiffness:.3g} N m/rad"
+    else:
+        expected = f"no data sheet of {servo.model} servos states one to compare with"
+    words = f"servo.stiffness is {servo.stiffness:g} N m/rad, {expected}; a wrong one makes the body sag"
     judged = not any(doubt.key.endswith("stall_torque") for doubt in doubtful_numbers(profile))
     if not judged:
         words = "servo.stiffness is not judged before the stall torque is right, on which it depends"
@@ -212,36 +214,42 @@ def _speed(profile: RobotProfile, cycle: GaitCycle) -> Limit:
         limiting = "stance.stride over stance.step_s"
     else:
         limiting = "stance.max_speed"
-    words = f"the tripod gait walks at {100 * cycle.speed:.1f} cm/s, limited by {limiting}"
+    words = f"the tripod gait walks at {100 * cycle.speed:.1f} cm/s, limited by {limiting}; {speed_remedy(profile)}"
     return Limit("speed", cycle.speed, None, "m/s", cycle.speed > 0.0, words)
 
 
-def _support(profile: RobotProfile, cycle: GaitCycle) -> Limit:
+def _support(profile: RobotProfile, cycle: GaitCycle, centre: tuple[float, float, float]) -> Limit:
     margin, needed = least_support_margin(profile, cycle.feet, cycle.share), profile.stance.support_margin
+    place = ", ".join(f"{axis} {round(100 * part, 1) + 0.0:.1f}" for axis, part in zip("xyz", centre, strict=True))
     words = (
-        f"in the tripod gait the centre of mass stays {in_cm(margin)} inside the standing feet, stance.support_margin needs "
-        f"{in_cm(needed)}; a shorter stance.stride, a wider stance or body.centre_of_mass in the middle adds to it"
+        f"the centre of mass of the standing robot is at {place} cm in the body's frame; in the tripod gait it stays "
+        f"{in_cm(margin)} inside the standing feet, stance.support_margin needs {in_cm(needed)}; a shorter stance.stride, a "
+        "wider stance or body.centre_of_mass in the middle adds to it"
     )
     return Limit("support margin", margin, needed, "m", margin >= needed, words)
 
 
 def _ground(profile: RobotProfile) -> Iterator[Limit]:
     found = find_ground_limits(profile)
-    for name, limit in (("step up", found.riser), ("step down", found.drop), ("gap", found.gap)):
-        unit = in_cm(limit.passed)
-        words = (
-            f"the step planner passes a {name} of {unit}{_then(limit, '' if limit.refused is None else in_cm(limit.refused))}"
-        )
+    lengths: tuple[tuple[str, Obstacle, GroundLimit], ...] = (
+        ("step up", "riser", found.riser),
+        ("step down", "drop", found.drop),
+        ("gap", "gap", found.gap),
+    )
+    for name, obstacle, limit in lengths:
+        words = f"the step planner passes a {name} of {in_cm(limit.passed)}{_then(profile, obstacle, limit)}"
         yield Limit(name, limit.passed, _MIN_OBSTACLE_M, "m", limit.passed >= _MIN_OBSTACLE_M - 1e-9, words)
-    slope, refused = math.degrees(found.slope.passed), found.slope.refused
-    words = f"the step planner passes a slope of {slope:.0f} deg"
-    words += _then(found.slope, "" if refused is None else f"{math.degrees(refused):.0f} deg")
+    slope = math.degrees(found.slope.passed)
+    words = f"the step planner passes a slope of {slope:.0f} deg{_then(profile, 'slope', found.slope)}"
     yield Limit("slope", slope, _MIN_SLOPE_DEG, "deg", slope >= _MIN_SLOPE_DEG - 1e-9, words)
 
 
-def _then(limit: GroundLimit, refused: str) -> str:
-    """Return why the next larger obstacle is not passed, as the end of a sentence."""
-    return f"; at {refused}: {limit.reason}" if refused else ", the largest that was tried"
+def _then(profile: RobotProfile, obstacle: Obstacle, limit: GroundLimit) -> str:
+    """Return why the next larger obstacle is not passed, and what to change, as the end of a sentence."""
+    if limit.refused is None:
+        return ", the largest that was tried"
+    refused = f"{math.degrees(limit.refused):.0f} deg" if obstacle == "slope" else in_cm(limit.refused)
+    return f"; at {refused}: {limit.reason}; {ground_remedy(profile, obstacle, limit.refused)}"
 
 
 def _plain(value: Any) -> Any:
@@ -271,8 +279,9 @@ def describe(check: RobotCheck) -> str:
         lasts = "hours" if math.isinf(load.minutes) else f"{load.minutes:.0f} min"
         how = f"{load.gait:7} {in_cm(load.body_height):>8} {100 * load.speed:5.1f} cm/s"
         lines.append(f"{how} {static:>14}{peak:>14}{rms:>14} {lasts:>9}")
+    lines.append("")
     width = max(len(limit.name) for limit in check.limits)
     for limit in check.limits:
         start = f"{'ok  ' if limit.is_met else 'FAIL'}  {limit.name:{width}}  "
-        lines += ["", *textwrap.wrap(limit.sentence, _WIDTH, initial_indent=start, subsequent_indent=" " * len(start))]
+        lines += textwrap.wrap(limit.sentence, _WIDTH, initial_indent=start, subsequent_indent=" " * len(start))
     return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -10,6 +11,8 @@ import pytest
 from sextant.deploy import cli
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.robot.urdf import urdf
+
+PAGE = (Path(__file__).parents[3] / "docs" / "your_robot.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("kind", "root"), [("urdf", "robot"), ("mjcf", "mujoco")])
@@ -57,7 +60,11 @@ def test_invalid_input_is_reported_in_one_sentence(
 @pytest.mark.slow
 def test_check_prints_limits_and_fails_if_one_is_not_met(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["robot", "check", "phantomx_mk2"]) == 0
-    assert capsys.readouterr().out.startswith("phantomx_mk2: passes\n")
+    printed = capsys.readouterr().out
+    assert printed.startswith("phantomx_mk2: passes\n")
+    (shown,) = re.findall(r"^```text\n(phantomx_mk2: passes\n.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+    for part in shown.split("...\n"):
+        assert part in printed, "docs/your_robot.md shows another output"
     weak = tmp_path / "weak.toml"
     weak.write_text('extends = "phantomx_mk2"\nname = "weak"\n[servo]\nstall_torque = 0.5\n', encoding="utf-8")
     assert cli.main(["robot", "check", str(weak)]) == 1

@@ -10,13 +10,16 @@ import pytest
 
 from sextant.evaluation.robot_check.foot_lag import foot_lag
 from sextant.evaluation.robot_check.gait_cycle import standing_torques, walk_cycle
-from sextant.evaluation.robot_check.ground_limits import find_ground_limits
-from sextant.evaluation.robot_check.robot_check import MIN_MINUTES, RobotCheck, check_robot, describe
-from sextant.evaluation.robot_check.slowed_robot import slow_down
+from sextant.evaluation.robot_check.ground_limits import find_ground_limits, refusal
+from sextant.evaluation.robot_check.limit import MIN_MINUTES
+from sextant.evaluation.robot_check.remedies import ground_remedy, room_remedy, speed_remedy
+from sextant.evaluation.robot_check.robot_check import RobotCheck, check_robot, describe
+from sextant.evaluation.robot_check.walking_pace import slow_down, speed_up
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import GRAVITY, RobotProfile
 from sextant.shared.robot.profiles import load_profile, profile_names
+from sextant.shared.robot.reach import joint_room
 from sextant.shared.servo.protection import Protection
 
 PROFILE = load_profile("phantomx_mk2")
@@ -52,7 +55,7 @@ def test_shipped_profiles_pass(name: str) -> None:
     [
         ("servo", {"stall_torque": 0.5}, "torque, tripod", r"of the stall torque at a femur"),
         ("servo", {"stall_torque": 0.8}, "heat", r"for \d+ min, then a servo reaches 70 deg C"),
-        ("servo", {"stiffness": 18.0}, "stiffness", r"servo.stiffness is 18 N m/rad, that of an AX-12A at its setting 9.16"),
+        ("servo", {"stiffness": 18.0}, "stiffness", r"servo.stiffness is 18 N m/rad, the setting of the AX-12A gives 9.16"),
         ("servo", {"no_load_speed": 3.0}, "joint speed", "a lower stance.foot_speed slows swings"),
         (
             "servo",
@@ -170,6 +173,47 @@ def test_longer_legs_pass_higher_steps() -> None:
     assert usual.riser.refused is not None
     assert usual.riser.reason
     assert usual.gap.passed >= PROFILE.stance.search_radius
+
+
+@pytest.mark.slow
+def test_obstacle_that_is_refused_is_passed_with_the_named_change() -> None:
+    assert refusal(PROFILE, "riser", 0.12)
+    words = ground_remedy(PROFILE, "riser", 0.12)
+    height = re.fullmatch(r"it passes that with a stance.body_height of ([\d.]+) m", words)
+    assert height is not None, words
+    assert not refusal(replace(PROFILE, stance=replace(PROFILE.stance, body_height=float(height[1]))), "riser", 0.12)
+    assert ground_remedy(PROFILE, "gap", 0.4) == "no other stance passes that, and no legs that are 20% longer"
+
+
+def test_stance_that_is_named_for_joint_room_has_more() -> None:
+    cycle = walk_cycle(PROFILE, "tripod")
+    room = float(joint_room(PROFILE, cycle.q, cycle.share).min())
+    found = re.search(r"with a stance.stride of ([\d.]+) m it is (\d+) deg", room_remedy(PROFILE, room))
+    assert found is not None
+    changed = replace(PROFILE, stance=replace(PROFILE.stance, stride=float(found[1])))
+    cycle = walk_cycle(changed, "tripod")
+    more = math.degrees(float(joint_room(changed, cycle.q, cycle.share).min()))
+    assert more > math.degrees(room)
+    assert more == pytest.approx(float(found[2]), abs=0.5)
+    assert "and with" not in room_remedy(PROFILE, math.pi)
+
+
+def test_faster_robot_is_as_fast_as_its_servos_bear() -> None:
+    faster = speed_up(PROFILE)
+    assert faster is not None
+    speed = walk_cycle(faster, "tripod").speed
+    assert speed > walk_cycle(PROFILE, "tripod").speed
+    assert f"bear {100 * speed:.1f} cm/s, with a stance.step_s of {faster.stance.step_s:g} s" in speed_remedy(PROFILE)
+    assert speed_up(replace(PROFILE, servo=replace(PROFILE.servo, no_load_speed=1.0))) is None
+
+
+def test_centre_of_mass_is_printed() -> None:
+    body = replace(PROFILE.body, centre_of_mass=(0.03, -0.01, 0.02))
+    check = check_robot(replace(PROFILE, body=body))
+    x, y, z = (100 * part for part in check.centre_of_mass)
+    assert 0.0 < x < 3.0
+    assert -1.0 < y < 0.0
+    assert f"is at x {x:.1f}, y {y:.1f}, z {z:.1f} cm in the body's frame" in describe(check)
 
 
 def test_heat_rises_to_its_final_temperature() -> None:
