@@ -3,14 +3,12 @@
 import json
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.doctor import machine_checks
 from sextant.services.simulator.servo_bus.bench_emulator import make_bench
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import RobotProfile
@@ -18,6 +16,7 @@ from sextant.shared.robot.profile_text import write_new_profile
 from sextant.shared.robot.profiles import load_profile, profile_names
 from sextant.shared.servo.pwm import Pulses
 from tests.support.families import FAMILIES, mixed_robot, robot_with, two_bus_robot
+from tests.support.quick_doctor import make_doctor_quick
 
 
 def pca9685_robot() -> RobotProfile:
@@ -36,13 +35,7 @@ ROBOTS |= {"mixed": mixed_robot("XM430-W350", "XM430-W350", "XL430-W250")}
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time few control cycles, and run once what does not depend on the robot."""
-    monkeypatch.setattr(machine_checks, "_CYCLES", 5)
-    for check in (machine_checks.chain, machine_checks.zenoh_round_trip):
-        monkeypatch.setattr(machine_checks, check.__name__, _once(check))
-
-
-_once = cache(cache)  # the same cached check in all tests
+    make_doctor_quick(monkeypatch)
 
 
 @pytest.mark.slow
