@@ -12,7 +12,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.kinematics import body_inverse, within_limits
 from sextant.shared.robot.profile import MAX_CLEARANCE_M, MAX_TRAVEL_M, MIN_MARGIN_M, Camera, RobotProfile, Stance
-from sextant.shared.robot.reach import height_range, longest_stride
+from sextant.shared.robot.reach import height_range, longest_stride, steady_stride
 
 REFERENCE_LEG_M = 0.199  # [m] femur and tibia of a PhantomX, to which the lengths of its stance belong
 _REFERENCE_SPEED = 6.178  # [rad/s] of its servos
@@ -37,7 +37,7 @@ def proposed_stance(profile: RobotProfile) -> Stance:
     """Return a stance for links, joint limits and servos of a profile, whose own stance does not matter.
 
     The foot's distance from the coxa and the body height are the nearest ones to those of a scaled PhantomX that allow its
-    stride. If none do, they are those with the longest stride.
+    stride. If none do, they are those with the longest stride. A stride that leaves too little support margin is shortened.
     """
     links, leg = profile.links, profile.links.femur + profile.links.tibia
     scale = leg / REFERENCE_LEG_M
@@ -57,7 +57,8 @@ def proposed_stance(profile: RobotProfile) -> Stance:
             break
     if best is None:
         return _scaled(profile, links.coxa + _REACH_SHARE * leg, _HEIGHT_SHARE * leg, scale)
-    stride = round(min(wanted, _KEPT_SHARE * best[0]), 3)
+    steady = steady_stride(replace(profile, stance=best[1])) or wanted  # without any, the check says why
+    stride = round(min(wanted, _KEPT_SHARE * best[0], steady), 3)
     stance = replace(best[1], stride=stride, max_speed=round(stride / best[1].step_s, 3))
     return replace(stance, body_height_range=_height_range(replace(profile, stance=stance)))
 

@@ -76,3 +76,13 @@ def least_support_margin(profile: RobotProfile, feet: Array, share: Array) -> fl
     """
     centre = resting_centre_of_mass(profile)[:2]
     return min(support_margin(now[stands, :2], centre) for now, stands in zip(feet, share > 0.0, strict=True))
+
+
+def steady_stride(profile: RobotProfile) -> float:
+    """Return the longest stride [m] on three legs that keeps `stance.support_margin`, 0 if none does."""
+    rest, share = profile.rest_feet(), np.array([[1.0, 0.0] * 3, [0.0, 1.0] * 3])
+    for stride in np.arange(MAX_TRAVEL_M, 0.0, -_STEP_M).tolist():
+        ends = [rest + np.array([way / 2, 0.0, 0.0]) for way in (-stride, stride)]
+        if all(least_support_margin(profile, np.array([end, end]), share) >= profile.stance.support_margin for end in ends):
+            return float(stride)
+    return 0.0
