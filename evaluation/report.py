@@ -69,6 +69,8 @@ class CameraFound:
     height_sigma_m: float = _NAN  # [m] its standard deviation
     depth_error: float = _NAN  # [1] relative, positive if the measured depth is too large
     depth_error_sigma: float = _NAN  # [1] its standard deviation
+    time_offset_s: float = _NAN  # [s] from an exposure to its stamp
+    time_offset_sigma_s: float = _NAN  # [s] its standard deviation
     finding: str = ""  # sentence about the camera in the status at the end of the run, or empty
 
 

@@ -188,7 +188,7 @@ def bench_calibration(scenario: str, seeds: range, jobs: int, out: str | None, a
 
 @benchmarks.command("naming")
 @option("--scenarios", "courses of the walks", "NAMES", default="steps,cobbles,stairs")
-@option("--errors", "errors to walk with, one at a time", "KINDS", default="none,pitch,roll,yaw,depth,horn")
+@option("--errors", "errors to walk with, one at a time", "KINDS", default="none,pitch,roll,yaw,height,depth,delay,horn")
 @option("--seeds", "seeds of the walks, B not included", "A:B", type=Parsed(options.seeds, "seeds"), default="1000:1003")
 @options.jobs
 @options.out

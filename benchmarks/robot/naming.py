@@ -17,14 +17,16 @@ from sextant.shared.scenario.mismatch import Deviation, Mismatch
 from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import codec, topics
 
-KINDS = ("none", "pitch", "roll", "yaw", "depth", "horn")  # of errors
-_NAMES = ("looks|leans|measures depths", "horn is off|horns or links")  # of errors of the camera, and of the legs
+KINDS = ("none", "pitch", "roll", "yaw", "height", "depth", "delay", "horn")  # of errors
+_NAMES = ("looks|leans|sits|measures|stamps", "horn is off|horns or links")  # of errors of the camera, and of the legs
 SOON = 10  # steps within which an error should be named
 _STEPS, _LONGEST_S = 20, 60  # end of a walk
 _SLICE_NS = 500_000_000  # [ns] between two looks at the walk
-_ANGLE_DEG, _DEPTH, _HORN_DEG = 3.0, 0.03, 4.0  # sizes of the errors
+_ANGLE_DEG, _HEIGHT_M, _DEPTH, _DELAY_S, _HORN_DEG = 3.0, 0.01, 0.03, 0.05, 4.0  # sizes of the errors
 _SIZES = {axis: f"{axis}, {_ANGLE_DEG:g} deg" for axis in ("pitch", "roll", "yaw")} | {
+    "height": f"height, {1000 * _HEIGHT_M:g} mm",
     "depth": f"depth, {100 * _DEPTH:g} %",
+    "delay": f"stamps, {1000 * _DELAY_S:g} ms",
     "horn": f"one horn, {_HORN_DEG:g} deg",
 }
 
@@ -43,17 +45,29 @@ def error(kind: str, seed: int) -> Error:
     sign = 1.0 if seed % 2 else -1.0
     if kind == "none":
         return Error({}, "(?!)")  # nothing matches
-    if kind == "depth":
-        return Error({"depth_scale": sign * _DEPTH}, "measures depths")
     if kind == "horn":
         leg, joint = divmod(seed % 18, 3)
         horns = np.zeros((6, 3))
         horns[leg, joint] = sign * _HORN_DEG
         name = f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg|^{LEGS[leg]} leg: a horn is off"
         return Error({"horns_deg": horns}, name, f"{LEGS[leg]}.* leg: a horn is off")
-    axis = ("roll", "pitch", "yaw").index(kind)
-    words = ("leans farther (left|right)", "looks (higher|lower)", "looks farther (left|right)")[axis]
-    return Error({"camera_rpy_deg": np.eye(3)[axis] * sign * _ANGLE_DEG}, words)
+    change, positive, negative = _CAMERA[kind]
+    return Error(change(sign), positive if sign > 0.0 else negative)
+
+
+def _turned(axis: int) -> Callable[[float], Mapping[str, object]]:
+    return lambda sign: {"camera_rpy_deg": np.eye(3)[axis] * sign * _ANGLE_DEG}
+
+
+# Errors of the camera by a sign, and how they are named if it is positive or negative.
+_CAMERA: Mapping[str, tuple[Callable[[float], Mapping[str, object]], str, str]] = {
+    "roll": (_turned(0), "leans farther right", "leans farther left"),
+    "pitch": (_turned(1), "looks lower", "looks higher"),
+    "yaw": (_turned(2), "looks farther left", "looks farther right"),
+    "height": (lambda sign: {"camera_xyz": np.array([0.0, 0.0, sign * _HEIGHT_M])}, "sits higher", "sits lower"),
+    "depth": (lambda sign: {"depth_scale": sign * _DEPTH}, "measures depths longer", "measures depths shorter"),
+    "delay": (lambda sign: {"stamp_offset_s": sign * _DELAY_S}, "stamps images later", "stamps images earlier"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +141,8 @@ def _parts(sentence: str) -> list[str]:
         return [re.sub(r" *\d+ deg.*", "", sentence)]
     if not re.search(_NAMES[0], sentence):
         return []
-    plain = re.sub(r" [\d.]+( deg|%) \([^)]*\)", "", sentence.removeprefix("the camera ").split(" for its profile")[0])
+    said = sentence.removeprefix("the camera ").split(" than its profile")[0]
+    plain = re.sub(r" [\d.]+( deg| mm| ms|%) \([^)]*\)", "", said)
     return plain.split(" and ")
 
 

@@ -61,12 +61,20 @@ def camera_found(heard: RunLog) -> CameraFound:
     errors = heard.camera_errors
     if errors is None:
         return CameraFound()
-    *rpy, height, depth = errors.estimate.tolist()
-    *rpy_sigma, height_sigma, depth_sigma = errors.sigma.tolist()
+    *rpy, height, depth, offset = errors.estimate.tolist()
+    *rpy_sigma, height_sigma, depth_sigma, offset_sigma = errors.sigma.tolist()
     roll, pitch, yaw = np.degrees(rpy).tolist()
     sigmas = np.degrees(rpy_sigma).tolist()
     return CameraFound(
-        (roll, pitch, yaw), (sigmas[0], sigmas[1], sigmas[2]), height, height_sigma, depth, depth_sigma, errors.finding
+        rpy_deg=(roll, pitch, yaw),
+        rpy_sigma_deg=(sigmas[0], sigmas[1], sigmas[2]),
+        height_m=height,
+        height_sigma_m=height_sigma,
+        depth_error=depth,
+        depth_error_sigma=depth_sigma,
+        time_offset_s=offset,
+        time_offset_sigma_s=offset_sigma,
+        finding=errors.finding,
     )
 
 

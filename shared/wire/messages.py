@@ -296,13 +296,13 @@ class ExternalPose(Message):
 class CameraErrors(Message):
     """Errors of the camera's profile, estimated while the robot walks; perception -> console, recorder.
 
-    Each array holds roll, pitch and yaw [rad] of the mount in axes of the body, its height [m], and the relative error of the
-    depth [1]: those of the profile minus the true ones.
+    Each array holds roll, pitch and yaw [rad] of the mount in axes of the body, its height [m], the relative error of the
+    depth [1], and the time [s] from an exposure to its stamp: those of the profile minus the true ones.
     """
 
-    estimate: Annotated[NDArray[np.float64], Dims(5)]  # [rad, rad, rad, m, 1]
-    sigma: Annotated[NDArray[np.float64], Dims(5)]  # standard deviations of the estimate
-    corrected: Annotated[NDArray[np.float64], Dims(5)]  # errors that perception corrects now
+    estimate: Annotated[NDArray[np.float64], Dims(6)]  # [rad, rad, rad, m, 1, s]
+    sigma: Annotated[NDArray[np.float64], Dims(6)]  # standard deviations of the estimate
+    corrected: Annotated[NDArray[np.float64], Dims(6)]  # errors that perception corrects now
     finding: str  # errors that the operator should know, as a sentence, or empty
 
 

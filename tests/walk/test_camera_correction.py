@@ -16,7 +16,7 @@ def test_camera_that_looks_3_deg_too_low_is_named_and_corrected() -> None:
     assert scenario.deviation(1000).camera_rpy_deg[1] == 3.0
     report = run_lockstep(scenario, 1000)
     assert report.success
-    assert "lower for its profile: run `sextant camera calibrate`" in report.camera.finding
+    assert "lower than its profile says: run `sextant camera calibrate`" in report.camera.finding
     assert report.camera.rpy_deg[1] == pytest.approx(-3.0, abs=3.0 * report.camera.rpy_sigma_deg[1])
     assert report.pose_error_m.rms < 0.06
     assert report.map_error_m.bias < 0.06

@@ -20,4 +20,4 @@ def test_horn_that_is_off_is_named_and_nothing_else(tmp_path: Path, monkeypatch:
 
 def test_error_that_the_benchmark_does_not_know_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert benchmarks.main(["naming", "--errors", "pitch,hat"]) == 2
-    assert "some of none, pitch, roll, yaw, depth, horn expected, found 'hat'" in capsys.readouterr().err
+    assert "some of none, pitch, roll, yaw, height, depth, delay, horn expected, found 'hat'" in capsys.readouterr().err

@@ -21,14 +21,14 @@ _ROTATION_SIGMA = np.radians(2.0)  # [rad] of the mount about each axis of the b
 _PLACE_SIGMA = 0.006  # [m] of the mount
 _SCALE_SIGMA = 0.02  # [1] relative error of the depth
 # Legs are not exact either: legs that walk to the right look like a camera that is turned left.
-_LEGS_SIGMA = (np.radians(0.3), np.radians(1.0), 0.01)  # [rad] of their motion's pitch and yaw, [1] of its length
+_LEGS_SIGMA = (np.radians(0.3), np.radians(1.0), 0.009)  # [rad] of their motion's pitch and yaw, [1] of its length
 _SIGMA = np.array([*[_ROTATION_SIGMA] * 3, *[_PLACE_SIGMA] * 3, _SCALE_SIGMA, *_LEGS_SIGMA])
 ROTATION, HEIGHT, SCALE = slice(0, 3), 5, 6  # places of the numbers in `MotionCalibration.values`
 _PLACE, _LEGS = slice(3, 6), slice(7, 10)
 _STRETCH_M, _STRETCH_RAD, _STRETCH_NS = 0.10, 0.25, 4_000_000_000  # of the motion that one measurement covers
 # Errors of the legs over one stretch: joints bend and feet slip. Position [m], then rotation [rad].
-_FLOOR = np.array([0.0015, 0.0015, 0.002, 0.005, 0.005, 0.003])
-_OF_WAY, _OF_TURN = 0.02, 0.03  # [1] further errors, as a share of the motion
+_FLOOR = np.array([0.001, 0.001, 0.0015, 0.004, 0.004, 0.003])
+_OF_WAY, _OF_TURN = 0.007, 0.03  # [1] further errors, as a share of the motion
 _OF_IMAGES = np.array([0.0007, 0.0007, 0.0007, 0.001, 0.001, 0.001])  # [m] and [rad] errors of the images over one stretch
 _LEG_SIGMA_M = 0.0035  # [m] of the ground's height by one leg: its horns and links, and the map below it
 _FARTHEST_M = 0.05  # [m] of a plausible difference between the heights of the ground by a leg and by the camera
@@ -74,19 +74,24 @@ class MotionCalibration:
         self._design = np.zeros((6, len(_SIGMA)))  # derivative of the sum of twists by the values
         self._twist, self._gain, self._frames = np.zeros(6), np.zeros((6, 6)), 0
         self._way, self._turn, self._since_ns = 0.0, 0.0, 0
+        self._v_begin: Array | None = None  # (3,) [m/s] {world} velocity of the body at the beginning of the stretch
 
-    def add(self, frame: Registered, corrected: Array) -> bool:
+    def add(self, frame: Registered, corrected: Array, delay_s: float = 0.0) -> bool:
         """Add a registered frame, and return whether a stretch ended with it.
 
         Args:
             frame: The frame.
             corrected: (10,) errors that its registration had corrected.
+            delay_s: Time [s] by which images are stamped too late.
         """
         moved = frame.T_moved
+        v = frame.T_prior[:3, :3] @ moved[:3, :3].T @ moved[:3, 3] / (frame.since_ns * 1e-9)  # [m/s] {world}
         if self._R_begin is None:
             self._R_begin = frame.T_prior[:3, :3]
+        if self._v_begin is None:
+            self._v_begin = v
         to_begin = on_twists(self._R_begin.T)  # from {world} to the axes of the stretch
-        gain = to_begin @ _gain(frame) @ to_begin.T
+        gain = to_begin @ image_gain(frame) @ to_begin.T
         motion = on_twists(self._R_begin.T @ frame.T_prior[:3, :3]) @ self._motion_design(moved)
         seen = gain @ (motion + self._lag)
         self._lag = self._lag + motion - seen
@@ -98,9 +103,10 @@ class MotionCalibration:
         self._since_ns += frame.since_ns
         ends = self._way >= _STRETCH_M or self._turn >= _STRETCH_RAD
         if ends:
-            self._update(corrected)
+            self._update(corrected, delay_s * self._R_begin.T @ (v - self._v_begin))
         if ends or self._since_ns > _STRETCH_NS:
             self.interrupt()
+            self._v_begin = v
         return ends
 
     def with_leg_heights(self, leg_heights: Array, feet: Array, corrected: Array) -> tuple[Array, Array]:
@@ -140,13 +146,16 @@ class MotionCalibration:
         M[:3, _LEGS] = np.array([[-d[2], d[1], -d[0]], [0.0, -d[0], -d[1]], [d[0], 0.0, -d[2]]])
         return M
 
-    def _update(self, corrected: Array) -> None:
-        """Update the values with the stretch, unless it contradicts them: a foot has slipped far."""
+    def _update(self, corrected: Array, late_m: Array) -> None:
+        """Update the values with the stretch, unless it contradicts them: a foot has slipped far.
+
+        Late stamps shorten the way of a stretch by `late_m` (3,) [m].
+        """
         sigma = _FLOOR + np.repeat([_OF_WAY * self._way, _OF_TURN * self._turn], 3)
         gain = self._gain / self._frames
         R = gain @ np.diag(sigma**2) @ gain.T + np.diag(_OF_IMAGES**2)
         A = self._design
-        surprise = self._twist - A @ (self.values - corrected)
+        surprise = self._twist + gain[:, :3] @ late_m - A @ (self.values - corrected)
         S = A @ self.covariance @ A.T + R
         if float(surprise @ np.linalg.solve(S, surprise)) > _GATE:
             return
@@ -157,7 +166,7 @@ class MotionCalibration:
         self.way += self._way
 
 
-def _gain(frame: Registered) -> Array:
+def image_gain(frame: Registered) -> Array:
     """Return the gain (6, 6) {world} by which the pose of a frame followed its image: 0 for the prior, 1 for the image."""
     L = np.linalg.cholesky(frame.prior_covariance)
     inverse_L = np.linalg.inv(L)

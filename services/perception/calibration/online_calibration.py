@@ -1,10 +1,12 @@
 """Self-correction of the camera while the robot walks, and its report to the operator."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from sextant.services.perception.calibration.motion_calibration import HEIGHT, ROTATION, SCALE, MotionCalibration, Registered
+from sextant.services.perception.calibration.stamp_delay import StampDelay
 from sextant.services.perception.registration.camera_correction import CameraCorrection
 from sextant.services.perception.registration.error_twist import covariance_at, error_twist
 from sextant.services.perception.registration.motion_prior import Motion
@@ -13,23 +15,44 @@ from sextant.shared.geometry import Array, inverse
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import CameraErrors
 
-_TOLD = [0, 1, 2, HEIGHT, SCALE]  # values that `CameraErrors` holds
+_TOLD = [0, 1, 2, HEIGHT, SCALE]  # values that `CameraErrors` holds, with the delay
 _CORRECTED = [0, 1, HEIGHT]  # values that are corrected: roll [rad], pitch [rad], height [m]
 _RATE = np.array([*[math.radians(0.3)] * 2, 0.001])  # largest change of a correction after one stretch
 _LARGEST = np.array([*[math.radians(6.0)] * 2, 0.02])  # bounds of the corrections
 _KNOWN = np.array([*[math.radians(1.4)] * 2, 0.004])  # standard deviation below which a value counts as known
 _SURE = 1.0  # [sigma] from which a known value is corrected
 # An error is named from this size on, and from this multiple of its standard deviation on.
-_NAMED_DEG, _NAMED_SCALE, _NAMED = 1.5, 0.015, 2.0
-_LEGS_DEG = 0.7  # [deg] by which horns may turn the body against the feet; an error of the camera looks the same
-# Words for errors of roll, pitch and yaw: the first one for a positive error, with which the profile is turned too far.
-_ANGLES = (("leans", "farther left", "farther right"), ("looks", "higher", "lower"), ("looks", "farther right", "farther left"))
+_NAMED_DEG, _NAMED_M, _NAMED_SCALE, _NAMED_S, _NAMED = 1.5, 0.005, 0.018, 0.03, 2.0
+_LEGS_DEG = 0.5  # [deg] by which horns may tilt the body against the feet; an error of the camera looks the same
+
+
+@dataclass(frozen=True, slots=True)
+class _Name:
+    """How an error is named: an error below zero means that the camera does what the first of the words says."""
+
+    verb: str
+    words: tuple[str, str]
+    least: float  # of an error that is named
+    per_unit: float  # of the text, in units of the error
+    unit: str
+    digits: int
+
+
+_NAMES = (
+    _Name("leans", ("farther right", "farther left"), _NAMED_DEG, 1.0, " deg", 1),
+    _Name("looks", ("lower", "higher"), _NAMED_DEG, 1.0, " deg", 1),
+    _Name("looks", ("farther left", "farther right"), _NAMED_DEG, 1.0, " deg", 1),
+    _Name("sits", ("higher", "lower"), _NAMED_M, 1e3, " mm", 0),
+    _Name("measures depths", ("shorter", "longer"), _NAMED_SCALE, 1e2, "%", 1),
+    _Name("stamps images", ("later", "earlier"), _NAMED_S, 1e3, " ms", 0),
+)
 
 
 class OnlineCalibration:
     """Estimates errors of a camera, and corrects its tilt and height.
 
     Yaw and depth error are only named: to correct them would move the mapped ground sideways, by the width of a foot at 1 m.
+    The delay of its stamps is only named, too.
     """
 
     def __init__(self, profile: RobotProfile, corrects: bool) -> None:
@@ -41,6 +64,7 @@ class OnlineCalibration:
         """
         self.correction = CameraCorrection(profile.camera)
         self._motion = MotionCalibration(profile.camera.T_body_camera[:3, 3])
+        self._delay = StampDelay()
         self._feet = profile.rest_feet() - [0.0, 0.0, profile.foot.radius]
         self._leg_heights: Array = np.full(6, np.nan)
         self.values, self.covariance = self._motion.values, self._motion.covariance
@@ -74,7 +98,7 @@ class OnlineCalibration:
         last, usable = self._last, found.ok and motion.reliable
         self._last = (found.stamp_ns, motion) if usable else None
         if not usable or last is None or found.stamp_ns <= last[0]:
-            self._motion.interrupt()
+            self._interrupt()
             return
         frame = Registered(
             T_prior,
@@ -84,7 +108,8 @@ class OnlineCalibration:
             inverse(last[1].T_odom_body) @ motion.T_odom_body,
             found.stamp_ns - last[0],
         )
-        if not self._motion.add(frame, self.corrected):
+        self._delay.add(frame)
+        if not self._motion.add(frame, self.corrected, self._delay.value):
             return
         self.values, self.covariance = self._motion.with_leg_heights(self._leg_heights, self._feet, self.corrected)
         self.finding, self._has_news = self._describe(), True
@@ -98,7 +123,7 @@ class OnlineCalibration:
     def restart(self) -> None:
         """Go on after a jump of the pose or of the odometry."""
         self._last = None
-        self._motion.interrupt()
+        self._interrupt()
 
     @property
     def sigma(self) -> Array:
@@ -113,6 +138,10 @@ class OnlineCalibration:
         values[_CORRECTED] = [*correction.tilt, correction.height]
         return values
 
+    def _interrupt(self) -> None:
+        self._motion.interrupt()
+        self._delay.interrupt()
+
     def _follow(self, T_body: Array) -> None:
         """Correct the errors that are known, slowly."""
         now, values, sigma = (of[_CORRECTED] for of in (self.corrected, self.values, self.sigma))
@@ -126,22 +155,23 @@ class OnlineCalibration:
         if not self._has_news:
             return None
         self._has_news = False
-        estimate, sigma, corrected = (of[_TOLD] for of in (self.values, self.sigma, self.corrected))
-        return CameraErrors(stamp_ns, estimate, sigma, corrected, self.finding)
+        estimate, sigma = self._told()
+        return CameraErrors(stamp_ns, estimate, sigma, np.append(self.corrected[_TOLD], 0.0), self.finding)
+
+    def _told(self) -> tuple[Array, Array]:
+        """Return estimate (6,) and standard deviations (6,) as in `CameraErrors`."""
+        return np.append(self.values[_TOLD], -self._delay.value), np.append(self.sigma[_TOLD], self._delay.sigma)
 
     def _describe(self) -> str:
-        values = self.values
+        values, sigmas = self._told()
+        values[ROTATION], sigmas[ROTATION] = np.degrees(values[ROTATION]), np.degrees(sigmas[ROTATION])
+        sigmas[:2] = np.hypot(sigmas[:2], _LEGS_DEG)
         found = []
-        angles, sigmas = np.degrees(values[ROTATION]), np.hypot(np.degrees(self.sigma[ROTATION]), _LEGS_DEG)
-        for (verb, if_positive, if_negative), angle, sigma in zip(_ANGLES, angles.tolist(), sigmas.tolist(), strict=True):
-            size = abs(angle)
-            if size > max(_NAMED_DEG, _NAMED * sigma):
-                where = if_positive if angle > 0.0 else if_negative
-                found.append(f"{verb} {size:.1f} deg ({size - 2 * sigma:.1f} to {size + 2 * sigma:.1f}) {where}")
-        size, sigma = abs(float(values[SCALE])), float(self.sigma[SCALE])
-        if size > max(_NAMED_SCALE, _NAMED * sigma):
-            which = "long" if values[SCALE] > 0.0 else "short"
-            found.append(f"measures depths {size:.1%} ({size - 2 * sigma:.1%} to {size + 2 * sigma:.1%}) too {which}")
+        for name, value, sigma in zip(_NAMES, values.tolist(), sigmas.tolist(), strict=True):
+            size = abs(value)
+            if size > max(name.least, _NAMED * sigma):
+                low, best, high = (f"{name.per_unit * of:.{name.digits}f}" for of in (size - 2 * sigma, size, size + 2 * sigma))
+                found.append(f"{name.verb} {best}{name.unit} ({low} to {high}) {name.words[value > 0.0]}")
         if not found:
             return ""
-        return f"the camera {' and '.join(found)} for its profile: run `sextant camera calibrate`"
+        return f"the camera {' and '.join(found)} than its profile says: run `sextant camera calibrate`"

@@ -55,7 +55,7 @@ def test_camera_that_looks_too_low_is_corrected_slowly_and_named() -> None:
     assert walk.calibration.corrected[1] == pytest.approx(-0.05, abs=0.007)
     assert changes.max() <= np.radians(0.3) + 1e-12
     assert walk.calibration.finding.startswith("the camera looks 2.")
-    assert "lower for its profile: run `sextant camera calibrate`" in walk.calibration.finding
+    assert "lower than its profile says: run `sextant camera calibrate`" in walk.calibration.finding
 
 
 def test_body_pose_is_continuous_while_the_camera_is_corrected() -> None:
@@ -73,8 +73,8 @@ def test_body_pose_is_continuous_while_the_camera_is_corrected() -> None:
         ((0.0, 0.07, 0.0), 0.0, " higher "),
         ((0.0, 0.0, 0.08), 0.0, " farther right "),
         ((0.0, 0.0, -0.08), 0.0, " farther left "),
-        ((0.0, 0.0, 0.0), 0.05, " too long "),
-        ((0.0, 0.0, 0.0), -0.05, " too short "),
+        ((0.0, 0.0, 0.0), 0.05, " longer "),
+        ((0.0, 0.0, 0.0), -0.05, " shorter "),
     ],
 )
 def test_error_is_named_by_its_direction(rotation: tuple[float, float, float], scale: float, words: str) -> None:
