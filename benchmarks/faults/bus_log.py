@@ -4,6 +4,7 @@ It records goals sent by the host, and torque switches and resets received by th
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.robot.profile import RobotProfile
-from sextant.shared.servo.servo_model import Kind, Recovery, Register, Request
+from sextant.shared.servo.servo_model import ControlTable, Kind, Recovery, Register, Request
 
 SIDES = ("sent", "heard")
 
@@ -59,11 +60,11 @@ class WireLog(ABC):
         self.switches: list[Switch] = []
         self.outside: list[Outside] = []
         self._ids = profile.servo_ids.ravel().tolist()
-        servo = profile.servo_angles(np.moveaxis(profile.joint_limits, -1, 0)).reshape(2, 18)
-        units = profile.servo_model.units
-        ticks = units.centre + np.sort(servo, axis=0) / units.tick_rad
+        servo, servos = profile.servo_angles(np.moveaxis(profile.joint_limits, -1, 0)), profile.servos
+        ticks = (servos.centre + np.sort(servo, axis=0) / servos.tick_rad).reshape(2, 18)
+        most = [model.units.max_position for model in servos.models]
         # a goal is a whole tick: the nearest one may be half a tick beyond the limit
-        self._low, self._high = (np.rint(side).clip(0, units.max_position).astype(np.int64) for side in ticks)
+        self._low, self._high = (np.rint(side).clip(0, most).astype(np.int64) for side in ticks)
 
     def sent(self, data: bytes, now_ns: int) -> None:
         """Process bytes sent by the host."""
@@ -83,7 +84,8 @@ class WireLog(ABC):
         ticks = np.array([values.get(i, old) for i, old in zip(self._ids, before, strict=True)])
         self.goals.append(Goals(t_s, ticks, np.array([speeds.get(i, 0) for i in self._ids])))
         for index in np.flatnonzero((ticks >= 0) & ((ticks < self._low) | (ticks > self._high))).tolist():
-            self.outside.append(Outside(t_s, self._ids[index], int(ticks[index])))
+            if self._ids[index] in values:
+                self.outside.append(Outside(t_s, self._ids[index], int(ticks[index])))
 
 
 class Recorder(WireLog):
@@ -92,8 +94,8 @@ class Recorder(WireLog):
     def __init__(self, profile: RobotProfile):
         """Start without data."""
         super().__init__(profile)
-        self._model = profile.servo_model
-        self._protocol, self._table = self._model.protocol, self._model.table
+        self._models = profile.servo_models  # by id
+        self._protocol = profile.servo_model.protocol
         self._parsers = {side: self._protocol.instruction_parser() for side in SIDES}
 
     def _hear(self, side: str, data: bytes, now_ns: int) -> None:
@@ -112,18 +114,23 @@ class Recorder(WireLog):
             return
         rows = dict(request.rows) if request.kind is Kind.SYNC_WRITE else dict.fromkeys(ids, request.data)
 
-        def written(register: Register) -> dict[int, int]:
-            start = register.address - request.address
-            end = start + register.size
-            return {i: register.decode(row[start:end]) for i, row in rows.items() if start >= 0 and end <= len(row)}
+        def written(role: Callable[[ControlTable], Register], recovery: Recovery | None = None) -> dict[int, int]:
+            found = {}
+            for i, row in rows.items():
+                model = self._models.get(i)
+                if model is not None and recovery in (None, model.recovery):
+                    register = role(model.table)
+                    start = register.address - request.address
+                    if start >= 0 and start + register.size <= len(row):
+                        found[i] = register.decode(row[start : start + register.size])
+            return found
 
-        table = self._table
-        if side == "sent" and (goals := written(table.goal_position)):
-            self._judge(t_s, goals, written(table.goal_speed))
+        if side == "sent" and (goals := written(lambda table: table.goal_position)):
+            self._judge(t_s, goals, written(lambda table: table.goal_speed))
         # Torque off to one servo begins the reset of its shutdown, if the model asks for that.
-        one_by_one = request.kind is Kind.WRITE and len(ids) == 1 and self._model.recovery is Recovery.TORQUE_ENABLE
-        if torque := written(table.torque_enable):
-            role = Role.RESET if one_by_one and not any(torque.values()) else Role.TORQUE
-            self.switches.append(Switch(t_s, side == "heard", role, torque))
-        if self._model.recovery is Recovery.TORQUE_LIMIT and (limits := written(table.torque_limit)):
+        one_by_one = request.kind is Kind.WRITE and len(ids) == 1
+        if torque := written(lambda table: table.torque_enable):
+            resets = one_by_one and self._models[ids[0]].recovery is Recovery.TORQUE_ENABLE and not any(torque.values())
+            self.switches.append(Switch(t_s, side == "heard", Role.RESET if resets else Role.TORQUE, torque))
+        if limits := written(lambda table: table.torque_limit, Recovery.TORQUE_LIMIT):
             self.switches.append(Switch(t_s, side == "heard", Role.RESET, limits))

@@ -92,7 +92,8 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # its state follows the first goals of the step
     reset = next((s.t_s for s in line.switches if s.heard and s.role is Role.RESET and s.t_s > line.begin_s), inf)
     # After another kind of reset, the host turns torque on.
-    stays_s = inf if profile.servo_model.recovery is Recovery.TORQUE_LIMIT else reset
+    recovery = profile.servo_models.get(line.servo, profile.servo_model).recovery
+    stays_s = inf if recovery is Recovery.TORQUE_LIMIT else reset
     stopped = [w for w in since if w.mode is not Mode.WALK]
     off_s, before = off_time(line)
     seated = next((w.t_s for w in since if w.mode is Mode.OFF), nan)
@@ -236,7 +237,7 @@ def _goal_speed(line: Timeline, profile: RobotProfile) -> float:
         return nan
     beyond = np.abs(np.diff([goals.ticks for goals in sent], axis=0)) - 1
     took = _CYCLE_S * np.maximum(np.rint(np.diff([goals.t_s for goals in sent]) / _CYCLE_S), 1.0)
-    return float(np.degrees(profile.servo_model.units.tick_rad * beyond / took[:, None]).max(initial=0.0))
+    return float(np.degrees(profile.servos.tick_rad.ravel() * beyond / took[:, None]).max(initial=0.0))
 
 
 def carrying(truth: Truth, profile: RobotProfile) -> Flags:
@@ -306,10 +307,12 @@ def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) 
     first = max(sum(goals.t_s < from_s for goals in recent) - 1, 0)  # the goals before `from_s` are the current command
     ticks = np.array([goals.ticks for goals in recent[first:]]).reshape(-1, 18)
     speeds = np.array([goals.speeds for goals in recent[first:]]).reshape(-1, 18)
-    units = profile.servo_model.units
-    most = np.where(speeds > 0, speeds * units.speed_rad_s * _CYCLE_S, np.inf)
+    speed_units = np.array([model.units.speed_rad_s for model in profile.servos.models])
+    most = np.where(speeds > 0, speeds * speed_units * _CYCLE_S, np.inf)
     whole = profile.servo_ids.ravel() != line.servo
-    goals = np.degrees(np.minimum(units.tick_rad * np.abs(np.diff(ticks, axis=0)), most[1:]))[:, whole].max(initial=0.0)
+    goals = np.degrees(np.minimum(profile.servos.tick_rad.ravel() * np.abs(np.diff(ticks, axis=0)), most[1:]))[:, whole].max(
+        initial=0.0
+    )
     return float(max(joints, goals))
 
 

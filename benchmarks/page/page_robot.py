@@ -141,8 +141,8 @@ class PageRobot:
         """
         goals = list(self.recorder.goals)
         t = np.array([g.t_s for g in goals])
-        units = self.profile.servo_model.units
-        servo = units.tick_rad * (np.array([g.ticks for g in goals]).reshape(-1, 6, 3) - units.centre)
+        servos = self.profile.servos
+        servo = servos.tick_rad * (np.array([g.ticks for g in goals]).reshape(-1, 6, 3) - servos.centre)
         feet = body_forward(self.profile, np.array([self.profile.joint_angles(q) for q in servo]))[:, ~swing]
         body = feet.mean(axis=1)[:, :2]
         way = np.linalg.norm(body[_WINDOW:] - body[:-_WINDOW], axis=-1)

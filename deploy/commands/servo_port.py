@@ -126,7 +126,8 @@ def open_line(bus: Bus, profile: "RobotProfile", all_rates: bool = False) -> "It
     from sextant.services.actuator.servo_bus import triage
 
     of_model = triage.all_rates if all_rates else triage.usual_rates
-    rates = (profile.servo_model.bus_rate,) if bus.networked else of_model(profile.servo_model)
+    models = (profile.servo_model, *profile.servo_models.values())
+    rates = (models[0].bus_rate,) if bus.networked else triage.rates_of_all(models, of_model)
     with ended_once(), closing(Line(lambda rate: open_bus(bus, profile, rate), rates)) as line:
         yield line
 
@@ -154,8 +155,8 @@ def open_bus(bus: Bus, profile: "RobotProfile", rate: int | None = None, model: 
         BusDisconnectedError: The port cannot be opened.
     """
     model = model or profile.servo_model
-    alike = model.table.of_bus == profile.servo_model.table.of_bus
-    models = profile.servo_models if alike else None  # else it asks for another family
+    same = model.protocol is profile.servo_model.protocol
+    models = profile.servo_models if same else None  # else it asks for servos of another protocol
     return open_ids(bus, profile.servo_names, model, rate or model.bus_rate, models)
 
 

@@ -113,6 +113,16 @@ class JointServos:
         return self._array("temperature_limit")
 
     @cached_property
+    def tick_rad(self) -> Array:
+        """Angles [rad] per tick of position registers."""
+        return np.array([model.units.tick_rad for model in self.models]).reshape(-1, 3)
+
+    @cached_property
+    def centre(self) -> Array:
+        """Position registers [ticks] at servo angle 0."""
+        return np.array([float(model.units.centre) for model in self.models]).reshape(-1, 3)
+
+    @cached_property
     def range_rad(self) -> Array:
         """Largest servo angles [rad] in both directions from the centre."""
         return np.array([model.units.range_rad for model in self.models]).reshape(-1, 3)
@@ -177,7 +187,7 @@ def _missing(buses: tuple[BusJoints, ...]) -> str:
 
 
 def wrong_buses(servo: Servo, groups: tuple[ServoGroup, ...], buses: tuple[BusJoints, ...]) -> Iterator[config.Misfit]:
-    """Yield errors of the buses, and servos of different families on one bus."""
+    """Yield errors of the buses, and servos of different protocols on one bus."""
     if buses:
         names = [getattr(bus, "name", str(k)) for k, bus in enumerate(buses)]
         if len(buses) < 2:
@@ -194,10 +204,12 @@ def wrong_buses(servo: Servo, groups: tuple[ServoGroup, ...], buses: tuple[BusJo
     rows = [(f"buses[{k}]", _all_selected(getattr(bus, "joints", ()))) for k, bus in enumerate(buses)]
     for place, on_bus in rows or [("servo_groups", tuple(range(_N)))]:
         known = {model.name: model for index in on_bus if (model := models[index]) is not None}
-        families = {(model.table.of_bus, model.protocol.NAME, model.bus_rate) for model in known.values()}
-        if len(families) > 1:
-            expected = "servos with the same registers and baud rate on one bus"
-            yield config.Misfit(place, expected, f"{' and '.join(known)}; give each of them a bus in [[buses]]")
+        if len({(model.protocol.NAME, model.bus_rate) for model in known.values()}) > 1:
+            found = " and ".join(f"{name} ({model.protocol.NAME})" for name, model in known.items())
+            expected = (
+                "servos with one protocol and baud rate on one bus, since the driver reads one kind of packets at a port,"
+            )
+            yield config.Misfit(place, expected, f"{found}; give each protocol a bus in [[buses]]")
 
 
 def limits_in_radians(limits: tuple[tuple[float, float], ...]) -> Iterator[config.Misfit]:

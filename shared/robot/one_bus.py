@@ -24,7 +24,7 @@ class OneBus(RobotProfile):
 
     @property
     def servo_model(self) -> ServoModel:
-        """Registers and units of the first servo on the bus, which all others on it share."""
+        """Registers and units of the first servo on the bus, whose protocol all others on it share."""
         return self.servos.models[self._part.rows[0]]
 
     @cached_property

@@ -1,5 +1,7 @@
 """Emulated servos on a workbench, reached in memory, in virtual time."""
 
+from typing import Any
+
 import numpy as np
 
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
@@ -22,7 +24,7 @@ class Desk:
         self.profile = profile
         rate = profile.servo_model.bus_rate if rate == -1 else rate
         self.bench = BenchEmulator(profile, np.random.default_rng(seed), fresh=fresh, rate=rate, echo=echo)
-        self.tables = self.bench._servos.tables
+        self.tables: Any = getattr(self.bench._servos, "tables", None)  # of servos of one model
         self.rates: list[int] = []  # rates at which a port was opened
         self.port = MemoryPort(self.bench, lambda: 0)
 
@@ -42,8 +44,8 @@ class Desk:
 
     def bus(self, *, echo: bool = False) -> ServoBus:
         names = self.profile.servo_names
-        model = self.profile.servo_model
-        return bus_of(model)(self.open(), list(names), self.clock, model=model, names=names, echo=echo)
+        model, models = self.profile.servo_model, self.profile.servo_models
+        return bus_of(model)(self.open(), list(names), self.clock, model=model, models=models, names=names, echo=echo)
 
     def settle(self) -> None:
         """Wait until written data has arrived and the joints are at rest."""

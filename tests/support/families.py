@@ -2,14 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
+from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
+from sextant.services.simulator.servo_bus.servo_banks import AnyBank, ServoBanks
 from sextant.shared.geometry import Array
 from sextant.shared.robot.joint_servos import BusJoints, ServoGroup
 from sextant.shared.robot.profile import JOINTS, RobotProfile
@@ -23,6 +26,8 @@ from sextant.shared.servo.servo_model import ServoModel
 FAMILIES = ("AX-12A", "MX-28", "XL-320", "XL430-W250", "XM430-W350", "STS3215", "SCS0009", "LX-16A")
 
 LEFT_AND_RIGHT = (BusJoints(name="left", joints=("left",)), BusJoints(name="right", joints=("right",)))
+
+MIXED = ("AX-12A+MX-28", "XL-320+XL430-W250")  # on one bus in turn: goals at the same addresses, and everything at others
 
 
 def robot_with(model_name: str) -> RobotProfile:
@@ -69,22 +74,44 @@ def command_robot(*, buses: tuple[BusJoints, ...] = LEFT_AND_RIGHT) -> RobotProf
     return replace(mixed_robot("LX-16A", "HX-35H", "LX-16A"), name="commands", buses=buses)
 
 
+def _bank(names: list[str], ids: tuple[int, ...]) -> AnyBank:
+    """Return servos of these models in turn, on the supply of the first."""
+    servos = [robot_with(name).servo for name in names]
+    rows = [tuple(range(k, len(ids), len(names))) for k in range(len(names))][: len(ids)]
+    of_rows = list(zip(servos, rows, strict=False))
+    banks = [make_servo_bank(one, [ids[k] for k in of], np.zeros(len(of)), powered_like=servos[0]) for one, of in of_rows]
+    return banks[0] if len(banks) == 1 else ServoBanks(banks, rows)
+
+
 class Bench:
-    """Some servos of one model on a bus in memory, in virtual time."""
+    """Some servos on a bus in memory, in virtual time: of one model, or of several in turn, as "AX-12A+MX-28"."""
 
     def __init__(self, model_name: str, n: int = 3, spoil: Callable[[bytes], bytes] | None = None) -> None:
-        self.model: ServoModel = MODEL_NAMED[model_name]
+        names = model_name.split("+")
         self.ids = tuple(range(1, n + 1))
-        self.servos = make_servo_bank(robot_with(model_name).servo, self.ids, np.zeros(n))
-        table = self.model.table
-        self.servos.column(table.baud_rate)[:] = self.model.rate_code(self.model.bus_rate)
+        self.models: list[ServoModel] = [MODEL_NAMED[names[k % len(names)]] for k in range(n)]
+        self.model = self.models[0]
+        self.servos: Any = _bank(names, self.ids)
+        for row, model in enumerate(self.models):
+            rate = model.table.baud_rate
+            self.servos.write(row, rate.address, rate.encode(model.rate_code(model.bus_rate)))
+        self.tick_rad = max(model.units.tick_rad for model in self.models)
         self.emulator = ServoBusEmulator(self.servos)
         self.now_ns = 0
         self.port = MemoryPort(self.emulator, lambda: self.now_ns)
         if spoil is not None:
             read = self.port.read
             self.port.read = lambda size=1: spoil(read(size))  # type: ignore[method-assign]
-        self.bus = bus_of(self.model)(self.port, self.ids, self.port.now_ns, model=self.model)
+        self.bus = self.driver()
+
+    def driver(self, *, echo: bool = False) -> ServoBus:
+        """Return the driver of the servos on the port."""
+        models = dict(zip(self.ids, self.models, strict=True))
+        return bus_of(self.model)(self.port, self.ids, self.port.now_ns, model=self.model, models=models, echo=echo)
+
+    def ticks(self, q: Array) -> list[int]:
+        """Return the goal registers of angles (n,) [rad]."""
+        return [model.units.ticks(angle) for model, angle in zip(self.models, q.tolist(), strict=True)]
 
     def pass_time(self, seconds: float, q: Array | None = None, torque: Array | None = None) -> None:
         """Let the servos run with joints at q (n,) [rad] and torques (n,) [N m], both 0 by default."""

@@ -11,7 +11,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.scale import leg_scale
 from sextant.shared.scenario.scenario import load_scenario
-from tests.support.families import FAMILIES, robot_with
+from tests.support.families import FAMILIES, mixed_robot, robot_with
 
 _LOOK_NS = 500_000_000
 _TROUBLE_NS = 100_000_000  # [ns] of simulated time, for which the actuator states a trouble at least
@@ -45,6 +45,14 @@ def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> No
 )
 def test_robot_walks_with_a_microcontroller_between(name: str, terrain: str, distance: float) -> None:
     walk(robot_with(name), terrain, distance, bridge=True)
+
+
+@pytest.mark.parametrize(
+    ("terrain", "distance"),
+    [("flat", 0.4), pytest.param("steps", load_scenario("steps").goal.distance, marks=pytest.mark.rare)],
+)
+def test_robot_with_other_registers_in_its_femurs_walks(terrain: str, distance: float) -> None:
+    walk(mixed_robot("AX-12A", "MX-28", "AX-12A"), terrain, distance)
 
 
 @pytest.mark.rare

@@ -11,9 +11,11 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sextant.services.actuator.servo_bus import bus_scan
-from sextant.services.actuator.servo_bus.bus_scan import BusResponse, PingResponses, Problem
-from sextant.services.actuator.servo_bus.fast_read import FastRead
+from sextant.services.actuator.servo_bus import bus_scan, bus_setup
+from sextant.services.actuator.servo_bus.bus_scan import PingResponses, Problem
+from sextant.services.actuator.servo_bus.bus_setup import BusSetupError
+from sextant.services.actuator.servo_bus.common_read import CommonRead, common_reads
+from sextant.services.actuator.servo_bus.group_writes import GroupWrites
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
 from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State, state_decoder
 from sextant.services.actuator.servo_bus.serial_port import (
@@ -46,7 +48,6 @@ __all__ = [
     "gone",
     "open_port",
     "reading",
-    "whole",
 ]
 
 _MAX_UNANSWERED = 3  # consecutive unanswered requests, beyond which a servo is read more rarely: a busy host loses answers
@@ -66,25 +67,6 @@ _NS_PER_S = 1e9
 
 
 Polling = Generator[None, None, list[ServoReading]]
-
-
-class BusSetupError(ConnectionError):
-    """The bus lacks servos that the robot needs; the message names the remedy."""
-
-
-def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64]:
-    """Validate the values of a register, for each of `count` servos or one for all.
-
-    Raises:
-        ValueError: A value out of range, not a whole number, or of another shape.
-    """
-    array = np.asarray(values)
-    if array.dtype.kind not in "iu" or array.shape not in ((), (count,)):
-        raise ValueError(f"{register.name}: integers of shape ({count},) expected, found {array.dtype} of shape {array.shape}")
-    numbers = array.ravel().tolist()
-    if min(numbers) < register.min or max(numbers) > register.max:
-        raise ValueError(f"{register.name} takes {register.min} to {register.max}, found {array.tolist()}")
-    return array.astype(np.int64, copy=False)
 
 
 class ServoBus:
@@ -111,7 +93,7 @@ class ServoBus:
             servo_ids: Ids that the protocol allows, all different.
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The type of the servos, which `setup` verifies.
-            models: The types of servos by id, where they differ from `model`; they have the same registers.
+            models: The types of servos by id, where they differ from `model`; they have the same protocol.
             rows: Indices of the servos in their readings, by default those in the list.
             names: Leg and joint of each id, for messages.
             echo: The adapter returns every byte sent; exactly those are dropped.
@@ -136,18 +118,21 @@ class ServoBus:
         self._unit = [one.units for one in of_servos]  # of each servo
         self._rows = tuple(range(n)) if rows is None else tuple(rows)
         self._protocol, self._table, self._echo = model.protocol, model.table, echo
-        self._line = SerialLine(port, clock, model, echo=echo, reply_timeout_ns=reply_timeout_ns)
+        self._line = SerialLine(port, clock, of_servos or [model], echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
         self._loss = LossRate(_LOSS_WINDOW_NS)
-        self._validator, self._decode = ReadingValidator(of_servos), state_decoder(model)
+        self._validator, self._writes = ReadingValidator(of_servos), GroupWrites(self._protocol, servo_ids, of_servos)
 
-        address, self._answer_size = self._state_bytes()  # of what is read in the loop
-        self._requests = [self._protocol.read(i, address, self._answer_size) for i in servo_ids]
+        decoders = {one: state_decoder(one) for one in of_servos}
+        self._states = [(one.table.state.unpack, decoders[one]) for one in of_servos]
+        reads = list(map(self._state_bytes, of_servos))  # what is read in the loop
+        self._answer_sizes = [size for _, size in reads]
+        self._requests = [self._protocol.read(i, *read) for i, read in zip(servo_ids, reads, strict=True)]
         self._overdue_ns = _OVERDUE_NS
         self._most_late = n  # late servos that come before the urgent ones in one call
         self._next = 0
         self._singly_until_ns = 0  # [ns] time up to which no request reads several servos
-        self._fast = FastRead(of_servos)
+        self._common = common_reads(of_servos)
         self._again: list[int] = []  # indices to be read first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
@@ -157,14 +142,6 @@ class ServoBus:
         self._alerts_read_ns: dict[int, int] = {}  # index -> [ns] when they were read
         self._backoff = [1] * n  # read every this many turns
         self._skips = [0] * n  # turns left to skip
-
-        goals = self._table.goals
-        self._goal_rows = np.zeros((n, 1 + goals.size), dtype=np.uint8)  # id, goal position and speed: rows of a sync write
-        self._goal_rows[:, 0] = servo_ids
-        self._goal_columns, self._speed_columns = (
-            _view(self._goal_rows, 1 + register.address - goals.address, register.dtype)
-            for register in (self._table.goal_position, self._table.goal_speed)
-        )
 
     def __len__(self) -> int:
         """Number of servos."""
@@ -256,9 +233,16 @@ class ServoBus:
         """Return the first bytes within a second without a request; servos send none."""
         return self._line.unrequested_bytes()
 
+    @property
+    def is_clean(self) -> bool:
+        """Whether all requests so far were answered, with no other bytes."""
+        return not self._line.lost and not self._line.dropped
+
     def echo_problem(self) -> Problem | None:
         """Return the problem of an adapter that returns what is sent although none is set, or the reverse; else None."""
-        id_register = self._table.id  # one byte: in no protocol is its answer as long as the request, with the same bytes
+        id_register = self.model_of(
+            self.servo_ids[0]
+        ).table.id  # one byte: in no protocol is its answer as long as the request, with the same bytes
         found = self._line.echoes(self._protocol.read(self.servo_ids[0], id_register.address, id_register.size))
         if found == self._echo:
             return None
@@ -276,33 +260,14 @@ class ServoBus:
             BusSetupError: Servos are missing, doubled, of another model, in wheel mode or refuse; all are named.
             BusDisconnectedError: The port is gone.
         """
-        seen = bus_scan.call(self, self.names)
-        is_clean = not self._line.lost and not self._line.dropped
-        if not (is_clean and len(seen) == len(self)) and (echo := self.echo_problem()):
-            raise BusSetupError(": ".join(echo))
-        for i, mute in [(i, found) for i, found in seen.items() if found.response is BusResponse.MUTE]:
-            seen[i] = bus_scan.wake(self, i) or mute
-        if not seen:
-            raise BusSetupError(
-                f"none of the {len(self)} servos answers; check their power, the adapter and the baud rate, "
-                f"then try `sextant servos scan`"
-            )
-        wrong = bus_scan.problems(self.names, seen)
-        self._fast.set_firmware(min((one.firmware or 0 for one in seen.values() if one.table), default=0))
-        for i in self.names.keys() - wrong.keys():
-            if words := bus_scan.prepare(self, seen[i], self._lock):
-                wrong[i] = Problem(f"{bus_scan.named(i, self.names)} {words}", "")
-        if wrong:
-            words = "; ".join(dict.fromkeys(problem.words for problem in wrong.values()))
-            raise BusSetupError(
-                f"{len(wrong.keys() & self.names.keys())} of {len(self)} servos are not ready: {words}; "
-                f"`sextant servos scan` says what to do"
-            )
+        seen = bus_setup.set_up(self, self._lock)
+        for common in self._common:
+            common.fast.set_firmware(min((seen[self.servo_ids[i]].firmware or 0 for i in common.indices), default=0))
 
     # --------------------------------------------------------------------------------------------------- in the loop
 
     def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
-        """Send all goal positions and moving speeds in one unacknowledged packet.
+        """Send all goal positions and moving speeds in one unacknowledged packet, or one for each kind of goal registers.
 
         While requests get lost, it is sent twice, because it is not acknowledged and is the longest packet of all.
 
@@ -314,27 +279,12 @@ class ServoBus:
             ValueError: A value out of range, not a whole number, or of another shape.
             BusDisconnectedError: The port is gone.
         """
-        goals = whole(goal_ticks, self._table.goal_position, len(self))
-        speeds = whole(speed_ticks, self._table.goal_speed, len(self))
-        self._goal_columns[:], self._speed_columns[:] = goals, speeds
-        self._validator.sent(goals.tolist() if goals.ndim else [int(goals)] * len(self))
-        block = self._table.goals
-        packet = self._protocol.sync_write_rows(block.address, block.size, self._goal_rows.tobytes())
+        goals, packets = self._writes.goals(goal_ticks, speed_ticks)
+        self._validator.sent(goals)
         self._told_ns = self._clock()
-        self._line.send(packet)
-        if self._loss.within(self._told_ns, _NOISY_NS):
-            self._line.send(packet)
-
-    def sync_write(self, register: Register, values: ArrayLike) -> None:
-        """Send one register to all servos, (n,) values or one, without acknowledgement.
-
-        Raises:
-            ValueError: A value out of range, not a whole number, or of another shape.
-            BusDisconnectedError: The port is gone.
-        """
-        wanted = np.broadcast_to(whole(values, register, len(self)), (len(self),))
-        rows = [(i, register.encode(int(value))) for i, value in zip(self.servo_ids, wanted, strict=True)]
-        self._line.send(self._protocol.sync_write(register.address, register.size, rows))
+        for _ in range(2 if self._loss.within(self._told_ns, _NOISY_NS) else 1):
+            for packet in packets:
+                self._line.send(packet)
 
     def set_torque(self, enabled: bool) -> None:
         """Turn the torque of all servos on or off.
@@ -343,14 +293,10 @@ class ServoBus:
         broadcast twice in the shortest possible packet, which is the likeliest to arrive on a noisy bus. After a loss, zeros
         precede it: a servo that has read a wrong length consumes them as the rest of its packet, and then listens again.
         """
-        if enabled:
-            self.sync_write(self._table.torque_enable, 1)
-            return
-        if self._loss.within(self._clock(), _NOISY_NS):
+        if not enabled and self._loss.within(self._clock(), _NOISY_NS):
             self._line.send(bytes(_MAX_PACKET_BYTES))
-        enable = self._table.torque_enable
-        for _ in range(2):
-            self._line.send(self._protocol.write(self._protocol.BROADCAST_ID, enable.address, enable.encode(0)))
+        for packet in self._writes.torque_on() if enabled else 2 * self._writes.torque_off():
+            self._line.send(packet)
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Read the next servos of the rotation, as many as typically fit a time budget.
@@ -445,7 +391,7 @@ class ServoBus:
             self._asked_ns[index] = start
             self._line.ask(self._requests[index], start)
             yield
-            answer = self._line.answer(self.servo_ids[index], self._answer_size, end_ns, start)
+            answer = self._line.answer(self.servo_ids[index], self._answer_sizes[index], end_ns, start)
             done = self._clock()
             heard = answer is not None and not self._refuses(answer)
             found = self._taken(index, start, answer if heard else None, done)
@@ -464,39 +410,51 @@ class ServoBus:
         """Read as many servos as fit a time budget with one request, then those again whose answers are missing or doubtful."""
         start = self._clock()
         end = start + budget_ns
-        state, is_fast = self._table.state, self._fast.is_usable(start) and not self.missed.any()
+        whole = not self.missed.any()
+        is_fast = whole and all(common.fast.is_usable(start) for common in self._common)
         overhead = dynamixel2.ROW_OVERHEAD if is_fast else self._protocol.OVERHEAD
-        answer_ns = (overhead + state.size) * BYTE_NS
+        answer_ns = (overhead + max(self._answer_sizes)) * BYTE_NS
         most = max(int((budget_ns - _TYPICAL_NS) // answer_ns) + 1, 1) if budget_ns > 0 else 0
         turn = (*first, *self._again, *((self._next + k) % len(self) for k in range(len(self))))
         asked = [i for i in dict.fromkeys(turn) if not self._is_skipped(i)][:most]
         if not asked:
             return []
         self._next = (asked[-1] + 1) % len(self)
-        ids = [self.servo_ids[i] for i in asked]
-        if is_fast:
-            self._line.ask(dynamixel2.fast_sync_read(state.address, state.size, ids), start)
-            yield
-            answers = self._line.fast_answers(ids, state.size, start)
-        else:
-            self._line.ask(sync_read(state.address, state.size, ids), start)
-            yield
-            answers = self._line.answers(ids, state.size, start)
-        done = self._clock()
-        if is_fast:
-            self._fast.note(done, complete=len(answers) == len(ids))
-        elif ids[-1] not in answers:  # whether those behind a silent servo answer is not published
-            self._singly_until_ns = done + _SINGLY_NS
-        taken = {i: self._taken(i, start, answers.get(self.servo_ids[i]), done) for i in asked}
+        taken, answers = dict[int, ServoReading | None](), dict[int, Packet]()
+        for common in self._common:
+            if here := [i for i in asked if i in common.indices]:
+                found = yield from self._read_common(sync_read, common, here, fast=whole)
+                done = self._clock()
+                taken |= {i: self._taken(i, self._asked_ns[i], found.get(self.servo_ids[i]), done) for i in here}
+                answers |= found
         self._again = []
         for i in asked:
-            self._asked_ns[i] = start
             taken[i] = taken[i] or (yield from self._look(i, end, heard=self.servo_ids[i] in answers))
             if taken[i] is None and self.missed[i] <= _AT_ONCE:
                 self._again.append(i)
         if self._alerts:
             self._read_alert(end)
         return [found for found in taken.values() if found is not None]
+
+    def _read_common(
+        self, sync_read: SyncRead, common: CommonRead, asked: Sequence[int], *, fast: bool
+    ) -> Generator[None, None, dict[int, Packet]]:
+        """Read servos with the same registers by one request, and return their answers by id; a fast one if it may be."""
+        start, state, ids = self._clock(), common.block, [self.servo_ids[i] for i in asked]
+        for i in asked:
+            self._asked_ns[i] = start
+        if fast and common.fast.is_usable(start):
+            self._line.ask(dynamixel2.fast_sync_read(state.address, state.size, ids), start)
+            yield
+            answers = self._line.fast_answers(ids, state.size, start)
+            common.fast.note(self._clock(), complete=len(answers) == len(ids))
+            return answers
+        self._line.ask(sync_read(state.address, state.size, ids), start)
+        yield
+        answers = self._line.answers(ids, state.size, start)
+        if ids[-1] not in answers:  # whether those behind a silent servo answer is not published
+            self._singly_until_ns = self._clock() + _SINGLY_NS
+        return answers
 
     def _is_skipped(self, index: int) -> bool:
         """Return whether to leave out a silent servo in this turn."""
@@ -539,7 +497,7 @@ class ServoBus:
             error |= self._alerts.setdefault(index, ServoError.NONE)
         elif self._alerts:
             self._alerts.pop(index, None)
-        state = self._state_in(stamp_ns, answer.parameters, int(error))
+        state = self._state_in(index, stamp_ns, answer.parameters, int(error))
         refused = self._validator.refusals
         believed = self._validator.accepts(index, state, self._is_noisy(index, now_ns))
         for _ in range(self._validator.refusals - refused):  # this reading, or the earlier one that it contradicts
@@ -550,13 +508,14 @@ class ServoBus:
         self.errors[index] = state.error
         return self._reading_of(index, state, error)
 
-    def _state_bytes(self) -> tuple[int, int]:
-        """Return address and size [bytes] of what is read from each servo in the loop."""
-        return self._table.state.address, self._table.state.size
+    def _state_bytes(self, model: ServoModel) -> tuple[int, int]:
+        """Return address and size [bytes] of what is read from each servo of a model in the loop."""
+        return model.table.state.address, model.table.state.size
 
-    def _state_in(self, stamp_ns: int, data: bytes, error: int) -> State:
+    def _state_in(self, index: int, stamp_ns: int, data: bytes, error: int) -> State:
         """Return the state in the bytes that are read in the loop."""
-        return self._decode(stamp_ns, self._table.state.unpack(data), error)
+        unpack, decode = self._states[index]
+        return decode(stamp_ns, unpack(data), error)
 
     def _reading_of(self, index: int, state: State, error: ServoError) -> ServoReading:
         """Return the reading of an accepted state."""
@@ -568,13 +527,15 @@ class ServoBus:
         The errors of an alert add up: the servo raises one alert for all of them.
         """
         start = self._clock()
-        register = self._table.hardware_error
         due = [i for i in self._alerts if start - self._alerts_read_ns.get(i, -_ALERT_NS) >= _ALERT_NS]
-        if register is None or not due or start > end_ns:
+        if not due or start > end_ns:
             return
         index = min(due, key=lambda i: self._alerts_read_ns.get(i, 0))
         self._alerts_read_ns[index] = start
         servo_id = self.servo_ids[index]
+        register = self.model_of(servo_id).table.hardware_error
+        if register is None:
+            return
         answer = self._line.exchange(self._protocol.read(servo_id, register.address, register.size), servo_id, 1, end_ns, start)
         if answer is not None and answer.parameters:
             self._alerts[index] |= self.model_of(servo_id).hardware_errors(answer.parameters[0])
@@ -598,12 +559,6 @@ class ServoBus:
             return False
         self._line.lost[Lost.REFUSED] += 1
         return True
-
-
-def _view(rows: NDArray[np.uint8], offset: int, dtype: str) -> NDArray[np.unsignedinteger]:
-    """Return a column (n,) of numbers in rows of bytes."""
-    n, width = rows.shape
-    return np.ndarray((n,), dtype=dtype, buffer=rows.data, offset=offset, strides=(width,))
 
 
 def _nothing() -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
 from sextant.shared.servo.models import MODELS
-from sextant.shared.servo.servo_model import Register, ServoError, ServoModel, error_words
+from sextant.shared.servo.servo_model import ControlTable, Register, ServoError, ServoModel, error_words
 
 FACTORY_ID = 1  # of all makers
 _ATTEMPTS = 3  # per request: a busy host or a spike on the wire loses one occasionally
@@ -131,7 +131,7 @@ class ServoScan:
     servo_id: int
     response: BusResponse
     expected: ServoModel  # the robot's servos are of this type, whose control table these bytes are
-    table: bytes = b""  # from address 0; empty unless the response is clear
+    table: bytes = b""  # from address 0, by its own model; empty unless the response is clear
     error: ServoError = ServoError.NONE
 
     def __getitem__(self, register: Register) -> int:
@@ -201,15 +201,23 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
         return ServoScan(servo_id, BusResponse.DOUBLED, expected)
     if model is None:
         return ServoScan(servo_id, BusResponse.MUTE, expected)
-    garbled = bus.garbled
-    eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (table.eeprom, table.ram))
+    garbled, there = bus.garbled, _table_of(expected, model)
+    eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (there.eeprom, there.ram))
     if eeprom is None or ram is None:  # same models answer alike to the model number, but their measurements differ
         return ServoScan(servo_id, BusResponse.DOUBLED if bus.garbled > garbled else BusResponse.FADING, expected)
-    contents = bytes(table.eeprom.start) + eeprom + bytes(table.ram.start - table.eeprom.stop) + ram
+    contents = bytes(there.eeprom.start) + eeprom + bytes(there.ram.start - there.eeprom.stop) + ram
     found = ServoScan(servo_id, BusResponse.CLEAR, expected, contents, error)
     if table.hardware_error is not None:  # whose errors an answer does not carry
         return replace(found, error=error | expected.hardware_errors(found[table.hardware_error]))
     return found
+
+
+def _table_of(expected: ServoModel, number: int) -> ControlTable:
+    """Return the control table of a servo that tells this model number where the expected one has it."""
+    alike = (
+        one for one in MODELS if one.protocol is expected.protocol and one.table.model_number == expected.table.model_number
+    )
+    return expected.table if number == expected.number else next((o.table for o in alike if o.number == number), expected.table)
 
 
 def _crowded(bus: Bus, servo_id: int) -> bool:
@@ -290,9 +298,13 @@ def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str]) -> bo
     ):
         return False
     others = [one for i, one in seen.items() if i in names and i != FACTORY_ID and one.response is BusResponse.CLEAR]
-    register = next(reversed(first.expected.joint_settings))
-    new = first.expected.default(register)
-    return first[register] == new and all(one[register] != new for one in others)
+    return _is_new(first) and not any(map(_is_new, others))
+
+
+def _is_new(seen: ServoScan) -> bool:
+    """Return whether the setting that tells a new servo has its factory value."""
+    register = next(reversed(seen.expected.joint_settings))
+    return seen[register] == seen.expected.default(register)
 
 
 def unreachable(missing: Collection[int], names: Mapping[int, str]) -> dict[int, Problem]:

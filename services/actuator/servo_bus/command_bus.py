@@ -14,7 +14,8 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sextant.services.actuator.servo_bus.bus_driver import REPLY_TIMEOUT_NS, Polling, Port, ServoBus, whole
+from sextant.services.actuator.servo_bus.bus_driver import REPLY_TIMEOUT_NS, Polling, Port, ServoBus
+from sextant.services.actuator.servo_bus.group_writes import whole
 from sextant.services.actuator.servo_bus.reading_validation import State
 from sextant.services.actuator.servo_bus.servo_reading import PositionReadings, ServoReading
 from sextant.shared.servo.servo_model import Feedback, Register, ServoError, ServoModel
@@ -257,11 +258,11 @@ class CommandBus(ServoBus):
 
     # ----------------------------------------------------------------------------------------------- below the words
 
-    def _state_bytes(self) -> tuple[int, int]:
-        register = self._table.present_position
+    def _state_bytes(self, model: ServoModel) -> tuple[int, int]:
+        register = model.table.present_position
         return register.address, register.size
 
-    def _state_in(self, stamp_ns: int, data: bytes, error: int) -> State:
+    def _state_in(self, index: int, stamp_ns: int, data: bytes, error: int) -> State:
         return State(stamp_ns, self.model.position(int.from_bytes(data, "little")), 0, 0, 0, 0, error)
 
     def _reading_of(self, index: int, state: State, error: ServoError) -> ServoReading:

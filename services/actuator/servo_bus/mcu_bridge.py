@@ -19,8 +19,8 @@ from sextant.services.actuator.servo_bus.bus_driver import (
     ServoReading,
     gone,
     reading,
-    whole,
 )
+from sextant.services.actuator.servo_bus.group_writes import whole
 from sextant.services.actuator.servo_bus.reading_validation import State as Registers
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo.bridge_protocol import (

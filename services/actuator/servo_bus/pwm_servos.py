@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, whole
+from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
+from sextant.services.actuator.servo_bus.group_writes import whole
 from sextant.services.actuator.servo_bus.pulse_boards import PulseBoard, open_board
 from sextant.services.actuator.servo_bus.serial_port import Port
 from sextant.services.actuator.servo_bus.servo_reading import ServoReading

@@ -19,6 +19,7 @@ _LEAP_RAD = math.radians(2.93)  # [rad] outside the expected range, beyond which
 _SAME_POSITION_RAD = math.radians(1.47)  # [rad] maximum difference of two readings of one position ...
 _MAX_MOTION_RAD = math.radians(5.87)  # [rad] ... plus the maximum motion of the joint between them
 _VOLTAGE_LEAP_V = 0.8  # [V] between two readings of the common supply, beyond which one is doubted
+_ROUNDING_V = 1e-9  # [V] of a difference
 _TEMPERATURE_LEAP_K = 2.0  # [K] between two readings, beyond which one is doubted ...
 _WARMING_RATE_K_S = 2.0  # [K/s] ... plus this in the time between them: a stalled motor warms by 1 K/s
 # Leaps of load and of possible speeds are normal, and are doubted only while answers get lost or broken.
@@ -98,7 +99,7 @@ class ReadingValidator:
     """Checks the next readings of n servos against their last accepted ones."""
 
     def __init__(self, models: Sequence[ServoModel]) -> None:
-        """Begin without readings of servos of these models (n,), which share the unit of voltage."""
+        """Begin without readings of servos of these models (n,)."""
         n, limits = len(models), {model: _Limits(model) for model in models}
         self._limits = [limits[model] for model in models]
         self.refused: Counter[str] = Counter()  # readings that were rejected, by `Implausibility`
@@ -106,7 +107,7 @@ class ReadingValidator:
         self._accepted: list[State | None] = [None] * n  # last accepted reading of each servo
         self._doubted: list[tuple[State, Implausibility] | None] = [None] * n  # its newest reading if that is doubted, and why
         self._impossible = [False] * n  # whether the newest reading of each servo has values that no servo has
-        self._voltage: int | None = None  # [0.1 V] last accepted one of any servo, because they share one supply
+        self._voltage: float | None = None  # [V] last accepted one of any servo, because they share one supply
         self._goals: deque[list[int]] = deque(maxlen=_RECENT_GOALS)
         self._lowest: list[int] = []  # [ticks] of the recent goals of each servo
         self._highest: list[int] = []
@@ -152,7 +153,7 @@ class ReadingValidator:
         self.refusals += 1
 
     def _accept(self, index: int, state: State) -> None:
-        self._accepted[index], self._voltage = state, state.voltage
+        self._accepted[index], self._voltage = state, state.voltage * self._limits[index].units.volt
         low, high = self._bound(index, state.position)
         self._goal_offset[index] = state.position - min(max(state.position, low), high)
 
@@ -182,7 +183,7 @@ class ReadingValidator:
             return Implausibility.SPEED
         if noisy and load_leap > limits.load_leap:
             return Implausibility.LOAD
-        if self._voltage is not None and abs(state.voltage - self._voltage) * units.volt > _VOLTAGE_LEAP_V:
+        if self._voltage is not None and abs(state.voltage * units.volt - self._voltage) > _VOLTAGE_LEAP_V + _ROUNDING_V:
             return Implausibility.VOLTAGE
         if abs(state.temperature - before.temperature) > _TEMPERATURE_LEAP_K + _WARMING_RATE_K_S * elapsed:
             return Implausibility.TEMPERATURE

@@ -195,14 +195,17 @@ def _advice(number: int | None, url: str) -> str:
 class SerialLine:
     """Requests and answers over an open port."""
 
-    def __init__(self, port: Port, clock: Callable[[], int], model: ServoModel, *, echo: bool, reply_timeout_ns: int) -> None:
-        """Take over an open port to servos of a model; see `ServoBus`."""
+    def __init__(
+        self, port: Port, clock: Callable[[], int], models: Sequence[ServoModel], *, echo: bool, reply_timeout_ns: int
+    ) -> None:
+        """Take over an open port to servos of models with one protocol; see `ServoBus`."""
         self.lost: Counter[str] = Counter()  # by `Lost`
         self.reply_timeout_ns = reply_timeout_ns
         self._port = port
         self._clock = clock
         self._echo = echo
-        self._protocol, self._max_parameters = model.protocol, model.table.size
+        model = models[0]
+        self._protocol, self._max_parameters = model.protocol, max(one.table.size for one in models)
         self._parser = self._protocol.answer_parser(self._max_parameters)
         self._answer_code = model.commands.answer_code if model.commands else None
         self._code = -1  # of the right answer to the last request, where answers have one

@@ -35,6 +35,11 @@ def all_rates(model: ServoModel) -> tuple[int, ...]:
     return _apart((*usual_rates(model), *sorted(model.common_rates or model.rates.values(), reverse=True)))
 
 
+def rates_of_all(models: Iterable[ServoModel], of_model: Callable[[ServoModel], tuple[int, ...]]) -> tuple[int, ...]:
+    """Return the baud rates [1/s] of all models, those of the first one first; `of_model` is one of the functions above."""
+    return _apart(rate for model in dict.fromkeys(models) for rate in of_model(model))
+
+
 def _apart(rates: Iterable[int]) -> tuple[int, ...]:
     """Return the rates that do not reach the same servos as an earlier one."""
     kept: list[int] = []

@@ -61,8 +61,9 @@ class BenchEmulator(ServoBusEmulator):
         q = rng.uniform(-1.0, 1.0, n) if fresh else self.robot.servo_angles(np.zeros((len(LEGS), 3))).ravel()
         exact = ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
         self._servos = make_robot_servos(profile, q, Supply().capacity_ah, 1.0, exact).on_bus[bus]
-        table, self._damping = self._servos.table, profile.servos.damping.ravel()[rows]
+        self._damping = profile.servos.damping.ravel()[rows]
         for row, model in enumerate(map(self._servos.model_of, range(len(rows)))):
+            table = model.table
             set_up = {**model.joint_settings, table.baud_rate: model.rate_code(model.bus_rate)}
             for register, value in ({table.id: table.id.default} if fresh else set_up).items():
                 self._servos.write(row, register.address, register.encode(value))
@@ -71,7 +72,9 @@ class BenchEmulator(ServoBusEmulator):
         self._now_ns = -1  # [ns] bus time up to which the joints have moved
         self._q, self._qd, self._torque = q[rows], np.zeros(len(rows)), np.zeros(len(rows))
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiles the code before the first packet ...
-        self._servos.read(0, table.state.address, table.state.size)  # ... whose response must be in time
+        self._servos.read(
+            0, self._servos.table.state.address, self._servos.table.state.size
+        )  # ... whose response must be in time
         super().__init__(self._servos, BusTiming(self._servos.model.bus_rate), echo=echo)
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
@@ -93,7 +96,7 @@ class BenchEmulator(ServoBusEmulator):
         """Plug servos in, which resets their RAM registers to factory values."""
         for row in rows:
             factory = self._servos.model_of(row).factory_table()
-            for register in self._registers.registers:
+            for register in self._tables[row].registers:
                 if not register.eeprom and register.access is Access.READ_WRITE:
                     self._servos.write(row, register.address, factory[register.address : register.address + register.size])
             self._plugged.add(row)
@@ -127,7 +130,7 @@ class BenchEmulator(ServoBusEmulator):
         elif words[:1] == ["unplug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
             rows = sorted(self._plugged)
             if len(words) == 2:  # one servo, also if several have the id
-                rows = [row for row in rows if self._value(row, self._registers.id) == int(words[1])][-1:]
+                rows = [row for row in rows if self._value(row, self._tables[row].id) == int(words[1])][-1:]
             if not rows:
                 raise ValueError(f"the id of a servo that is plugged in expected, found {line.strip()!r}; `list` shows them")
             self.unplug(rows)
@@ -139,15 +142,15 @@ class BenchEmulator(ServoBusEmulator):
             return f"the {bend[1]} leg is bent to {', '.join(bend[2].split())} deg ({', '.join(JOINTS)})"
         elif words != ["list"]:
             raise ValueError(f"one of {self.commands} expected, found {line.strip()!r}")
-        ids = sorted(self._value(row, self._registers.id) for row in self._plugged)
+        ids = sorted(self._value(row, self._tables[row].id) for row in self._plugged)
         plugged = f"{len(ids)} {'servo is' if len(ids) == 1 else 'servos are'} plugged in"
         return f"{plugged}: {', '.join(map(str, ids)) or 'none'}; {len(self.unplugged)} not"
 
     def _with_id(self, servo_id: int) -> list[int]:
-        return [row for row in range(len(self._servos)) if self._value(row, self._registers.id) == servo_id]
+        return [row for row in range(len(self._servos)) if self._value(row, self._tables[row].id) == servo_id]
 
     def _hears(self, row: int) -> bool:
-        rate = self._model.rates.get(self._value(row, self._registers.baud_rate), 0)
+        rate = self._models[row].rates.get(self._value(row, self._tables[row].baud_rate), 0)
         return row in self._plugged and (self._rate is None or abs(rate - self._rate) <= _MAX_RATE_ERROR * self._rate)
 
     def _catch_up(self, now_ns: int) -> None:

@@ -89,9 +89,10 @@ class ServoBusEmulator(AnswersOnly):
         self._bank = bank
         self._timing = timing or BusTiming(bank.model.bus_rate)
         self._echo = echo
-        self._model, self._registers, self._protocol = bank.model, bank.table, bank.model.protocol
-        # One read returns what the answer of a servo depends on.
-        self._head = Block((self._registers.id, self._registers.return_delay, self._registers.status_return_level))
+        self._models = tuple(bank.model_of(row) for row in range(len(bank)))  # of each row
+        self._tables = tuple(model.table for model in self._models)
+        self._protocol = bank.model.protocol
+        self._heads = tuple(map(_head, self._tables))
         self._parser = self._protocol.instruction_parser()
         self._received = 0  # number of bytes received
         self._last_ns = 0  # time of the last bytes from the host
@@ -199,7 +200,7 @@ class ServoBusEmulator(AnswersOnly):
         return () if broadcast else self._answer(rows, time_ns, error)
 
     def _read(self, rows: list[int], time_ns: int, address: int, size: int) -> list[Reply]:
-        if size == 0 or address + size > self._registers.size:
+        if size == 0 or any(address + size > self._tables[row].size for row in rows):
             return self._answer(rows, time_ns, self._refuse(ServoError.RANGE))
         return self._answer(rows, time_ns, ServoError.NONE, read=(address, size))
 
@@ -221,15 +222,20 @@ class ServoBusEmulator(AnswersOnly):
             if error:
                 return self._refuse(error)
             self._registered[row] = (address, data)
-        self._change(time_ns, self._registers.registered.address, dict.fromkeys(rows, b"\x01"))
+        self._note_registered(rows, time_ns, b"\x01")
         return ServoError.NONE
+
+    def _note_registered(self, rows: list[int], time_ns: int, waits: bytes) -> None:
+        """Set the register that tells whether a registered write waits."""
+        for row in rows:
+            self._change(time_ns, self._tables[row].registered.address, {row: waits})
 
     def _action(self, rows: list[int], time_ns: int, broadcast: bool) -> ServoError:
         waiting = [row for row in rows if row in self._registered]
         for row in waiting:
             address, data = self._registered.pop(row)
             self._change(time_ns, address, {row: data})
-        self._change(time_ns, self._registers.registered.address, dict.fromkeys(waiting, b"\x00"))
+        self._note_registered(waiting, time_ns, b"\x00")
         return ServoError.NONE if waiting or broadcast else self._refuse(ServoError.INSTRUCTION)
 
     def _sync_write(self, time_ns: int, request: Request) -> None:
@@ -252,17 +258,16 @@ class ServoBusEmulator(AnswersOnly):
 
     def _sync_read(self, time_ns: int, request: Request) -> list[Reply]:
         """Return the answers of several servos, in the order of the instruction; a silent one ends a combined answer."""
-        if request.address + request.size > self._registers.size:
-            return []
         read = (request.address, request.size)
         rows = [self._listeners.get(servo_id, []) for servo_id, _ in request.rows]
+        rows = [[row for row in those if sum(read) <= self._tables[row].size] for those in rows]
         if self.breaks_off:
             rows = list(itertools.takewhile(len, rows))
         if request.kind is Kind.SYNC_READ:
             return self._answer([row for those in rows for row in those], time_ns, ServoError.NONE, read=read)
         heard = list(itertools.takewhile(lambda those: len(those) and self._knows_fast_read(those[0]), rows))
         parts = [
-            (self._value(row, self._registers.id), self._error_code(row), self._table(row, *read, at_ns=time_ns))
+            (self._value(row, self._tables[row].id), self._error_code(row), self._table(row, *read, at_ns=time_ns))
             for row, *_ in heard
         ]
         if not parts:
@@ -278,8 +283,8 @@ class ServoBusEmulator(AnswersOnly):
 
     def _knows_fast_read(self, row: int) -> bool:
         """Return whether the firmware of a servo has the fast sync read."""
-        since = self._bank.model_of(row).fast_firmware
-        return since is not None and self._value(row, self._registers.firmware) >= since
+        since = self._models[row].fast_firmware
+        return since is not None and self._value(row, self._tables[row].firmware) >= since
 
     def _reboot(self, rows: list[int], time_ns: int) -> None:
         """Restart servos: their RAM has factory values, no error is latched, and they are silent for some time."""
@@ -296,8 +301,7 @@ class ServoBusEmulator(AnswersOnly):
 
         A valid write covers whole writable registers, has values in range, and goals within the angle limits.
         """
-        model = self._bank.model_of(row)
-        table = model.table
+        model, table = self._models[row], self._tables[row]
         covered = _registers_in(table, address, len(data))
         if covered is None or self._is_protected(row, address, len(data)):
             return ServoError.RANGE
@@ -316,16 +320,16 @@ class ServoBusEmulator(AnswersOnly):
 
     def _has_limits(self, row: int) -> bool:
         """Return whether the angle limits of a servo have an effect in its operating mode."""
-        mode = self._registers.operating_mode
+        mode = self._tables[row].operating_mode
         return mode is None or self._value(row, mode) == x_series.POSITION_MODE
 
     def _is_protected(self, row: int, address: int, size: int) -> bool:
         """Return whether a lock, which ends only with the power, or torque protects these registers."""
-        lock, free = self._registers.lock, self._registers.unlocked
-        if self._model.eeprom_needs_torque_off:
-            first_free = self._registers.torque_enable.address
-            return address < first_free and bool(self._value(row, self._registers.torque_enable))
-        if self._model.unlocks:  # what is written is lost without power, but acts
+        model, table = self._models[row], self._tables[row]
+        lock, free = table.lock, table.unlocked
+        if model.eeprom_needs_torque_off:
+            return address < table.torque_enable.address and bool(self._value(row, table.torque_enable))
+        if model.unlocks:  # what is written is lost without power, but acts
             return False
         return lock is not None and not (free.start <= address <= free.stop - size) and bool(self._value(row, lock))
 
@@ -334,7 +338,7 @@ class ServoBusEmulator(AnswersOnly):
         data = self._bank.read(row, address, size, at_ns)
         for change in self._changes:
             if change.address < address + size and address < change.address + change.size and row in change.rows:
-                table = bytearray(self._registers.size)
+                table = bytearray(max(change.address + change.size, address + size))
                 table[address : address + size] = data
                 table[change.address : change.address + change.size] = change.rows[row]
                 data = bytes(table[address : address + size])
@@ -348,13 +352,15 @@ class ServoBusEmulator(AnswersOnly):
             return
         size = len(next(iter(rows.values())))
         self._changes.append(_Change(time_ns, address, size, rows))
-        if address <= self._registers.baud_rate.address and self._registers.id.address < address + size:
+        if any(
+            address <= self._tables[row].baud_rate.address and self._tables[row].id.address < address + size for row in rows
+        ):
             self._find_listeners()
 
     def _factory(self, row: int) -> bytes:
         """Return the factory table of a servo, with its current measured values."""
-        table = bytearray(self._bank.model_of(row).factory_table())
-        for register in (*self._registers.measured, self._registers.moving):
+        table = bytearray(self._models[row].factory_table())
+        for register in (*self._tables[row].measured, self._tables[row].moving):
             start, end = register.address, register.address + register.size
             table[start:end] = self._bank.read(row, start, register.size)
         return bytes(table)
@@ -363,7 +369,7 @@ class ServoBusEmulator(AnswersOnly):
         """Update the map from ids to the servos that receive the host's packets."""
         self._listeners = {}
         for row in filter(self._hears, range(len(self._bank))):
-            self._listeners.setdefault(self._value(row, self._registers.id), []).append(row)
+            self._listeners.setdefault(self._value(row, self._tables[row].id), []).append(row)
 
     def _hears(self, row: int) -> bool:
         """Return whether a servo is connected and has the host's baud rate.
@@ -372,7 +378,7 @@ class ServoBusEmulator(AnswersOnly):
         """
         if row in self._cut_off or row in self._deaf_until_ns:
             return False
-        rate = self._model.rates.get(self._value(row, self._registers.baud_rate), 0)
+        rate = self._models[row].rates.get(self._value(row, self._tables[row].baud_rate), 0)
         return abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate
 
     # ------------------------------------------------------------------------------------------------- responses
@@ -395,16 +401,14 @@ class ServoBusEmulator(AnswersOnly):
 
         A servo responds if its status return level requires it.
         """
-        commands = self._model.commands
-        if commands is not None and read is None:  # only what reads is answered
-            return []
-        everything = self._registers.status_return_level.max
-        needed = 0 if always else everything - 1 if read else everything
         answers: list[tuple[int, int, bytes]] = []  # id, delay [ns] and response of each servo
         for row in rows:
-            head = self._head.unpack(self._table(row, self._head.address, self._head.size))
-            servo_id, delay, level = head
-            if level < needed:
+            commands, head = self._models[row].commands, self._heads[row]
+            if commands is not None and read is None:  # only what reads is answered
+                continue
+            servo_id, delay, level = head.unpack(self._table(row, head.address, head.size))
+            everything = self._tables[row].status_return_level.max
+            if level < (0 if always else everything - 1 if read else everything):
                 continue
             delay *= _RETURN_DELAY_NS
             data = self._table(row, *read, at_ns=time_ns) if read else self._identity(row) if always else b""
@@ -420,7 +424,7 @@ class ServoBusEmulator(AnswersOnly):
 
     def _identity(self, row: int) -> bytes:
         """Return the parameters of the answer to a ping: model number and firmware, or none."""
-        registers = (self._registers.model_number, self._registers.firmware)
+        registers = (self._tables[row].model_number, self._tables[row].firmware)
         return b"".join(self._table(row, one.address, one.size) for one in registers)[: self._protocol.PING_SIZE]
 
     def _error_code(self, row: int, error: ServoError = ServoError.NONE) -> int:
@@ -441,6 +445,12 @@ class ServoBusEmulator(AnswersOnly):
             else:
                 heard.append((servo_id, delay, said))
         return heard
+
+
+@lru_cache(maxsize=64)
+def _head(table: ControlTable) -> Block:
+    """Return the registers on which the answer of a servo depends, which one read returns."""
+    return Block((table.id, table.return_delay, table.status_return_level))
 
 
 def _collision(*packets: bytes) -> bytes:

@@ -215,7 +215,7 @@ def share_of_cycles_with_goals_received(rig: Rig, cycles: int) -> float:
     for _ in range(cycles):
         rig.cycle()
         rig.bus.advance(rig.now_ns)
-        sent = rig.driver._goal_rows[:, 1] + 256 * rig.driver._goal_rows[:, 2].astype(int)
+        sent = rig.driver._writes._rows[0]._goals
         good += int((rig.bank.tables.view("<u2")[:, dxl.GOAL_POSITION.address // 2] == sent).all())
     return good / cycles
 

@@ -14,7 +14,7 @@ from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo.dynamixel2 import Instruction
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Recovery, ServoError, ServoModel
-from tests.support.families import FAMILIES, Bench
+from tests.support.families import FAMILIES, MIXED, Bench
 
 ALL = [model.name for model in MODELS if model.commands is None]  # others: test_command_bus.py
 _BUDGET_NS = 40_000_000
@@ -61,7 +61,7 @@ def test_goals_and_speed_limits_reach_the_servos(name: str) -> None:
     assert not bench.command.torque_limit.any(), "a broadcast turns it off"
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", [*FAMILIES, *MIXED])
 def test_no_wrong_position_is_believed_among_broken_bytes(name: str) -> None:
     """Spoil one bit of every fourth read."""
     rng, n = Random(7), 600
@@ -74,14 +74,14 @@ def test_no_wrong_position_is_believed_among_broken_bytes(name: str) -> None:
 
     bench, asked, wrong, believed = Bench(name, 3, spoil), 0, [], 0
     q = np.array([0.2, -0.3, 0.4])
-    goals = [bench.model.units.ticks(angle) for angle in q]
+    goals = bench.ticks(q)
     while asked < n:
         bench.bus.sync_write_goals(goals)
         bench.pass_time(0.02, q)
         readings = bench.bus.poll(_BUDGET_NS)
         asked += 3
         believed += len(readings)
-        wrong += [one for one in readings if abs(one.position - q[one.index]) > bench.model.units.tick_rad]
+        wrong += [one for one in readings if abs(one.position - q[one.index]) > bench.tick_rad]
     assert believed > n / 2
     assert not wrong
 

@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.faults.bus_log import Recorder, Role
+from sextant.services.actuator.servo_bus.group_writes import GroupWrites
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo import dynamixel2
 from sextant.shared.servo.servo_model import Recovery
-from tests.support.families import FAMILIES, robot_with
+from tests.support.families import FAMILIES, MIXED, mixed_robot, robot_with
 from tests.support.timelines import PROFILE
 
 IDS = PROFILE.servo_ids.ravel().tolist()
@@ -91,3 +92,29 @@ def test_goals_switches_and_resets_are_read_from_each_family(name: str) -> None:
             recorder.heard(dynamixel2.reboot(3), 0)
     resets = [] if model.recovery is Recovery.ITSELF else [(Role.RESET, [3])]
     assert [(switch.role, list(switch.values)) for switch in recorder.switches] == [(Role.TORQUE, ids), *resets]
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_goals_and_switches_of_mixed_servos_are_in_the_units_and_registers_of_each(name: str) -> None:
+    coxa, femur = name.split("+")
+    profile = mixed_robot(coxa, femur, coxa)
+    models, joints = profile.servos.models, profile.joint_limits
+    recorder, writes = Recorder(profile), GroupWrites(models[0].protocol, profile.servo_ids.ravel().tolist(), models)
+    middle = profile.servo_angles(joints.mean(axis=-1)).ravel()
+    ends = np.sort(profile.servo_angles(np.moveaxis(joints, -1, 0)), axis=0)[1].ravel()
+    for index in range(18):
+        for beyond in (0, 2):
+            goals = [model.units.ticks(angle) for model, angle in zip(models, middle, strict=True)]
+            goals[index] = min(models[index].units.ticks(ends[index]) + beyond, models[index].units.max_position)
+            outside = goals[index] > models[index].units.ticks(ends[index])
+            before = len(recorder.outside)
+            for packet in writes.goals(goals, 0)[1]:
+                recorder.sent(packet, 0)
+            assert recorder.goals[-1].ticks.tolist() == goals
+            assert {one.servo for one in recorder.outside[before:]} <= {int(profile.servo_ids.flat[index])}
+            assert (len(recorder.outside) > before) == outside
+    for packet in writes.torque_off():
+        recorder.heard(packet, 0)
+    off = {servo_id for switch in recorder.switches for servo_id in switch.values}
+    assert off == set(profile.servo_names)
+    assert {switch.role for switch in recorder.switches} == {Role.TORQUE}

@@ -121,11 +121,11 @@ def test_profile_with_groups_and_buses_is_written_and_read_again(tmp_path: Path)
         (MIXED + BUSES.replace('"right"\n', '"left"\n'), "a different name for each expected, found left, left"),
         (
             f"{MIXED}[[servo_groups]]\njoints = ['coxa']\n{AX}",
-            "servos with the same registers and baud rate on one bus expected, found .* give each of them a bus",
+            r"with one protocol and baud rate on one bus, .* expected, found AX-12A \(Dynamixel Protocol 1.0\) and XM430",
         ),
         (
             MIXED + BUSES + f"[[servo_groups]]\njoints = ['left front coxa']\n{AX}",
-            r"buses\[0\]: servos with the same registers",
+            r"buses\[0\]: servos with one protocol .* give each protocol a bus in \[\[buses\]\]",
         ),
         (
             MIXED.replace('"XL430-W250"', '"LX-16A"').replace("position_gain = 640\n", ""),

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError
-from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.shared.servo.bus_fault import GRID, BusFault
-from sextant.shared.servo.models import MODEL_NAMED
-from tests.support.families import FAMILIES, Bench
+from tests.support.families import FAMILIES, MIXED, Bench
 
 _CYCLE_S, _BUDGET_NS, _FOR_S = 0.02, 20_000_000, 0.6
 _CELLS = [pytest.param(*cell, id=" ".join(cell)) for cell in GRID]
@@ -38,7 +36,7 @@ class _FaultyBench(Bench):
     def connect(self) -> None:
         """Open the port."""
         self.port = MemoryPort(self.faults, lambda: self.now_ns, start_ns=self.now_ns)
-        self.bus = bus_of(self.model)(self.port, self.ids, self.port.now_ns, model=self.model, echo=self.echo)
+        self.bus = self.driver(echo=self.echo)
 
     def cycle(self, q: np.ndarray) -> list[Any]:
         """Write goals and read the servos; without a port, try to open it again."""
@@ -48,7 +46,7 @@ class _FaultyBench(Bench):
         self.servos.set_joint_state(q, zero, zero, self.now_ns)
         self.command = self.servos.advance(_CYCLE_S)
         try:
-            self.bus.sync_write_goals([self.model.units.ticks(angle) for angle in q])
+            self.bus.sync_write_goals(self.ticks(q))
             return self.bus.poll(_BUDGET_NS)
         except BusDisconnectedError:
             with suppress(OSError):
@@ -57,16 +55,17 @@ class _FaultyBench(Bench):
 
 
 @pytest.mark.parametrize("echo", [False, True], ids=["plain", "echo"])
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", [*FAMILIES, *MIXED])
 @pytest.mark.parametrize(("target", "kind"), _CELLS)
 def test_readings_are_correct_under_each_fault_and_return_after_it(target: Any, kind: Any, name: str, echo: bool) -> None:
-    cell, tick = GRID[target, kind], MODEL_NAMED[name].units.tick_rad
-    off = tick + _OLD_CYCLES * _STEP_RAD * ((target, kind) in _OLD)
+    cell = GRID[target, kind]
     values: dict[str, Any] = {"servo": _SERVO} if cell.needs_servo else {}
     if "share" in cell.takes:
         values["share"] = 0.05
     fault = BusFault(target, kind, 0.3, _FOR_S, **values)
     bench, q = _FaultyBench(name, fault, echo), np.array([0.2, -0.3, 0.4])
+    tick = bench.tick_rad
+    off = tick + _OLD_CYCLES * _STEP_RAD * ((target, kind) in _OLD)
     bench.bus.setup()
     for _ in range(5):
         assert len(bench.cycle(q)) == 3

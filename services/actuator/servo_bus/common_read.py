@@ -1,12 +1,13 @@
-"""When to read servos with a fast sync read of Dynamixel Protocol 2.0.
+"""Reads of several servos by one request, and when to use a fast sync read of Dynamixel Protocol 2.0.
 
 Its one answer is shorter than the answers to a sync read, but each servo continues the answer of the one before it. Behind a
 silent servo, and behind a broken byte, the rest of the answer is lost.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
-from sextant.shared.servo.servo_model import ServoModel
+from sextant.shared.servo.servo_model import Block, ServoModel
 
 _PLAIN_NS = 1_000_000_000  # [ns] of sync reads after an incomplete answer
 _TRIES = 3  # consecutive incomplete answers after which no fast sync read is sent any more
@@ -37,3 +38,19 @@ class FastRead:
         else:
             self._tries -= 1
             self._plain_until_ns = now_ns + _PLAIN_NS
+
+
+class CommonRead(NamedTuple):
+    """Servos that one request can read, because they have the same registers."""
+
+    block: Block  # what is read
+    indices: frozenset[int]  # of the servos
+    fast: FastRead
+
+
+def common_reads(models: Sequence[ServoModel]) -> list[CommonRead]:
+    """Return the groups of servos (n,) that one request can read."""
+    places: dict[tuple[int, int], list[int]] = {}
+    for index, model in enumerate(models):
+        places.setdefault((model.table.state.address, model.table.state.size), []).append(index)
+    return [CommonRead(models[of[0]].table.state, frozenset(of), FastRead(models[k] for k in of)) for of in places.values()]
