@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from types import MappingProxyType
 from typing import NamedTuple
 
-import numpy as np
-
 from sextant.shared.robot.profile import LEGS, Leg, RobotProfile
 from sextant.shared.robot.servo import Servo
 from sextant.shared.robot.servo_proposal import AT_VOLTS, STALL_TORQUES
@@ -158,9 +156,6 @@ def _speeds(profile: RobotProfile) -> Iterator[Doubt]:
 
 
 def _angles(profile: RobotProfile) -> Iterator[Doubt]:
-    limits = np.array([leg.servo_limits_deg for leg in profile.legs])
-    if np.ptp(limits, axis=-1).max() <= 2.0 * math.pi:
-        yield Doubt("legs.servo_limits_deg", f"at most {np.abs(limits).max():g} deg in all legs: are they in rad?")
     yaws = [leg.neutral_yaw_deg for leg in profile.legs]
     if 0.0 < max(map(abs, yaws)) <= math.pi + 0.01:
         yield Doubt("legs.neutral_yaw_deg", f"at most {max(map(abs, yaws)):g} deg in all legs: are they in rad?")

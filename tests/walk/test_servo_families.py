@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
+from sextant.evaluation.robot_check.slowed_robot import slow_down
 
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
-from sextant.evaluation.robot_check.slowed_robot import slow_down
 from sextant.shared.robot.new_profile import Measures, new_profile
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile

@@ -128,7 +128,7 @@ def test_trims_of_a_leg_are_measured(name: str) -> None:
 @pytest.mark.parametrize("name", OTHERS)
 def test_joints_of_a_leg_move_and_return(name: str) -> None:
     desk = Desk(robot_with(name))
-    moved = run_joint_test(desk.bus(), desk.profile, Builder([True]), desk.clock, legs=LEGS[:1])
+    moved = run_joint_test(desk.bus(), desk.profile, Builder([True, "y", "y", "y"]), desk.clock, legs=LEGS[:1])
     assert moved is not None
     assert [one.problem for one in moved] == ["", "", ""]
     assert all(abs(one.moved_deg) == pytest.approx(STEP_DEG, abs=0.6) for one in moved)

@@ -76,7 +76,7 @@ def test_trims_are_measured_and_joints_move(profile) -> None:  # type: ignore[no
     assert calibrate(desk.bus(), profile, Builder([bend, ""]), kept.append, date(2026, 1, 1), legs=LEGS[1:2])
     tick_deg = np.degrees([model.units.tick_rad for model in profile.servos.models[3:6]])
     assert (np.abs(kept[0].trims_deg - np.degrees(desk.bench.robot.trims[1])) <= tick_deg).all()
-    moved = run_joint_test(desk.bus(), profile, Builder([True]), desk.clock, legs=LEGS[:1])
+    moved = run_joint_test(desk.bus(), profile, Builder([True, "y", "y", "y"]), desk.clock, legs=LEGS[:1])
     assert moved is not None
     assert [one.problem for one in moved] == ["", "", ""]
     assert all(abs(one.moved_deg) == pytest.approx(STEP_DEG, abs=0.6) for one in moved)

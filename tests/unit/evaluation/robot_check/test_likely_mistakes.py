@@ -100,9 +100,6 @@ def test_number_in_another_unit_is_doubted(table: str, changes: dict[str, Any], 
 def test_angles_of_all_legs_in_radians_are_doubted() -> None:
     legs = tuple(replace(leg, neutral_yaw_deg=round(leg.neutral_yaw_deg / 57.3, 3)) for leg in PROFILE.legs)
     assert [doubt.key for doubt in doubtful_numbers(replace(PROFILE, legs=legs))] == ["legs.neutral_yaw_deg"]  # type: ignore[arg-type]
-    limits = ((-1.3, 0.8), (-1.7, 1.7), (-2.5, 0.5))
-    legs = tuple(replace(leg, servo_limits_deg=limits) for leg in PROFILE.legs)
-    assert [doubt.key for doubt in doubtful_numbers(replace(PROFILE, legs=legs))] == ["legs.servo_limits_deg"]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
