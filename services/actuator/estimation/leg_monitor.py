@@ -43,6 +43,7 @@ _RESTATED_RAD = math.radians(1.0)  # change of its size from which it is stated 
 _ONE_LEAVES = 2.0  # most for a pair that one joint may leave unexplained
 _UNMATCHED = 2.0  # for a pair, from which several joints are off
 _PREDICTED = 0.6  # [1] largest unpredicted share: what earlier stances do not predict are feet that slide, not horns
+_FIRST_PAIRS = 90  # of usual stances, half a minute: so long a servo with a wrong sign or id may go unnoticed
 _SLOWER = 0.6  # [1] share of the nominal speed
 _REMEMBERED_STANCES = 6  # for which a lie, a slip or a weakness is remembered; a weak leg hangs, so these stances prove nothing
 _MISTAKEN = "or a servo of any leg turns the wrong way or has another one's id: run `sextant servos test`"
@@ -228,10 +229,10 @@ class LegMonitor:
             self.deviation, self._deviates_rad = f"{named}: {_CALIBRATE}", best.size
 
     def _slipped(self, slips: Sequence[Slip]) -> str:
-        """Return which horn has slipped; before any usual stances, servos may also be assembled or named wrongly."""
+        """Return which horn has slipped; in a robot's first steps, servos may also be assembled or named wrongly."""
         size = abs(slips[0].size)
         words = self._named(slips, f"has slipped by about {math.degrees(size):.0f} deg, an encoder is off, or the foot slides")
-        is_new = size >= _SLIP_RAD and self.offsets.pairs < _LASTING_PAIRS
+        is_new = size >= _SLIP_RAD and self.offsets.pairs < _FIRST_PAIRS
         return f"{words}, {_MISTAKEN}" if is_new else words
 
     def _named(

@@ -80,8 +80,8 @@ def test_large_slip_in_the_first_steps_may_also_be_a_servo_with_a_wrong_sign_or_
     for number in range(4):
         step(fresh, number, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
     assert "a servo of any leg turns the wrong way or has another one's id: run `sextant servos test`" in fresh.warning
-    later = walked()
-    step(later, 8, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
+    later = walked(32)
+    step(later, 32, one(TIBIA_OF_RIGHT_MIDDLE, -20.0), since=CYCLES // 2)
     assert "has slipped by about" in later.warning
     assert "servos test" not in later.warning
 
