@@ -407,8 +407,8 @@ def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -
     narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
     bare = f"does not shut down for {error_words(unguarded)}"
     settings = (
-        (low > reach[0], Setting(table.low_limit, model.default(table.low_limit), narrow)),
-        (high < reach[1], Setting(table.high_limit, model.default(table.high_limit), narrow)),
+        (low > reach[0], Setting(table.low_limit, min(model.default(table.low_limit), reach[0]), narrow)),
+        (high < reach[1], Setting(table.high_limit, max(model.default(table.high_limit), reach[1]), narrow)),
         (hot != usual, Setting(table.temperature_limit, usual, f"shuts down at {hot} deg C, {usual} expected")),
         (
             torque < most,
