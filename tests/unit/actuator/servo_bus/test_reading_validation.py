@@ -208,7 +208,7 @@ def test_accepted_random_readings_are_near_or_confirmed(said: list[tuple[State, 
             recent = goals[-3:] or [one.position]
             aside = one.position - min(max(one.position, min(recent)), max(recent))
             believed, unborne = one, None
-        elif max(one.speed, one.load) < 2048 and one.position < 1024 and one.error < 128:
+        elif not judge.is_impossible(0):
             unborne = one
         judge.sent(np.array([goal]))
         goals.append(goal)
