@@ -274,7 +274,10 @@ class _Dispatch(Generic[Result]):
             self.say(f"worker {worker} is lost; its {self.names[task]} has lost {len(lost)} workers and is given up")
 
     def _expect_workers(self) -> None:
-        """Raise a ClusterError if all workers are refused."""
+        """Raise a ClusterError if all workers are refused, also those that have joined since."""
+        if self.refused and not self.running and not self.any_passed:
+            for worker in self.client.nthreads():
+                self._join(worker)
         if self.refused and not self.running and not self.any_passed:
             some = "; ".join(f"{worker}: {reason}" for worker, reason in list(self.refused.items())[:3])
             raise ClusterError(f"a worker with this machine's environment expected, found {len(self.refused)} others: {some}")

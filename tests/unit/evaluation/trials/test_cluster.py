@@ -77,6 +77,7 @@ def test_task_that_kills_every_worker_is_given_up_and_the_others_are_stored(tmp_
 def test_worker_whose_check_fails_gets_no_work(tmp_path, cluster, said):
     names = [f"task {k}" for k in range(20)]
     work = [(k,) for k in range(20)]
+    cluster.client.wait_for_workers(2)  # an earlier test has killed one, and the first to join is refused
     found = list(cluster.share_out(tasks.process, work, tasks.refuses_first, (str(tmp_path / "mark"),), names))
     assert len(found) == 20
     # On a busy machine the scheduler may learn only now of a worker that an earlier test has killed.
