@@ -116,7 +116,7 @@ def test_missing_folder_or_image_is_reported(recorded, tmp_path):
         ("groundtruth.txt", "0.0 0 0 0 0 0 0\n", r"groundtruth\.txt:1: 8 fields expected"),
         ("groundtruth.txt", "0.0 0 0 0 0 0 0 0\n", "unit quaternion"),
         ("groundtruth.txt", "0.0 nan 0 0 0 0 0 1\n", "finite"),
-        ("camera.toml", "width = ", r"camera\.toml: TOML expected"),
+        ("camera.toml", "width = ", r"camera\.toml: no valid TOML"),
         ("camera.toml", "width = 640\n", "height: missing; a whole number is needed"),
         ("camera.toml", "width = 6.5\nheight = 4\n", "width: a whole number expected, found 6.5"),
     ],

@@ -178,7 +178,7 @@ def test_own_certificate_explains_refusal(keys: Path) -> None:
             lambda folder: (folder / access.ROLE).write_text('role = "king"\nends = 2100-01-01'),
             "robot, base, console",
         ),
-        (lambda folder: (folder / access.ROLE).write_text("role = "), "role.toml: TOML expected"),
+        (lambda folder: (folder / access.ROLE).write_text("role = "), "role.toml: no valid TOML"),
         (lambda folder: (folder / access.ROLE).write_text('role = "base"\nends = "soon"'), "robot, base, console"),
     ],
 )
