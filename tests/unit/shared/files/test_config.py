@@ -223,7 +223,7 @@ def test_any_table_for_scenario_and_profile_is_built_or_refused(schema: type[Any
 def test_invalid_toml_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "settings.toml"
     path.write_text(text)
-    with pytest.raises(config.ConfigError, match="no valid TOML: |expected, found") as caught:
+    with pytest.raises(config.ConfigError, match=r"no valid TOML: |expected, found") as caught:
         config.load(path, Settings)
     assert str(path) in str(caught.value)
 
