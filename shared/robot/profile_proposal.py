@@ -11,16 +11,18 @@ import numpy as np
 from sextant.shared.geometry import Array
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.kinematics import body_inverse, within_limits
-from sextant.shared.robot.profile import MAX_CLEARANCE_M, MAX_TRAVEL_M, MIN_MARGIN_M, Camera, RobotProfile, Stance
+from sextant.shared.robot.profile import JOINTS, MAX_CLEARANCE_M, MAX_TRAVEL_M, MIN_MARGIN_M, Camera, RobotProfile, Stance
 from sextant.shared.robot.reach import height_range, longest_stride, steady_stride
 
 REFERENCE_LEG_M = 0.199  # [m] femur and tibia of a PhantomX, to which the lengths of its stance belong
 _REFERENCE_SPEED = 6.178  # [rad/s] of its servos
 _REACH_SHARE, _HEIGHT_SHARE, _STRIDE_SHARE = 0.30, 0.52, 0.5  # of femur and tibia: coxa link to foot, body height, stride
 _TRIED = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12, 0.16, -0.16, 0.2, 0.25, 0.3)  # deviations of the first two, in this order
+_TIBIA = JOINTS.index("tibia")
 _KEPT_SHARE = 0.84  # of a reach: standing legs travel up to 15 % further than the stride, while all feet are down
 _LOW_SHARE, _HIGH_SHARE = 0.72, 1.4  # of the body height: ends of its range
 _LEAST_STRIDE_SHARE = 0.3  # of the stride, at the ends of that range
+_LEAST_BEND_RAD = 0.7  # of the knees of resting legs in that range
 
 PLACEHOLDER_STANCE = Stance((0.1, 0.1, 0.1), 0.1, (0.1, 0.1), 0.1, 1.0, 0.1, 0.1)  # until a stance is proposed
 
@@ -86,13 +88,17 @@ def _scaled(profile: RobotProfile, radius: float, height: float, scale: float) -
 
 
 def _height_range(robot: RobotProfile) -> tuple[float, float]:
-    """Return the range of body heights in which a robot still takes short steps."""
+    """Return the range of body heights in which a robot still takes short steps, with bent knees.
+
+    The joints of a leg that is nearly straight turn fast when its foot moves.
+    """
     height = robot.stance.body_height
     low, high = height_range(robot)
     least = _LEAST_STRIDE_SHARE * robot.stance.stride
 
     def steps(body_height: float) -> bool:
-        return longest_stride(robot, body_height).length >= least
+        bent = np.abs(body_inverse(robot, robot.rest_feet(body_height))[:, _TIBIA]) >= _LEAST_BEND_RAD
+        return bool(bent.all()) and longest_stride(robot, body_height).length >= least
 
     lower = [h for h in np.linspace(max(low, _LOW_SHARE * height), height, 15).tolist() if steps(h)]
     upper = [h for h in np.linspace(min(high, _HIGH_SHARE * height), height, 15).tolist() if steps(h)]

@@ -72,7 +72,7 @@ def numbered_with_meshes() -> DescribedRobot:
             parts.append(
                 f'<joint name="{names[k]}" type="revolute"><origin {places[k]}/><parent link="{links[k]}"/>'
                 f'<child link="{links[k + 1]}"/><axis xyz="{axes[k]}"/>'
-                '<limit lower="-2.5" upper="2.5" effort="100" velocity="6"/></joint>'
+                '<limit lower="-1.9" upper="1.9" effort="100" velocity="6"/></joint>'
             )
             length = (coxa, femur, tibia)[k]
             parts.append(f'<link name="{links[k + 1]}">{_inertial(0.06, length / 2, 6e-5)}{_mesh("leg")}</link>')

@@ -23,7 +23,7 @@ from sextant.shared.robot.description.robot_description import (
     Shape,
     read_urdf,
 )
-from sextant.shared.robot.kinematics import body_forward
+from sextant.shared.robot.kinematics import body_forward, body_inverse
 from sextant.shared.robot.links import BASE, LINK_RADII_M, hinges
 from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.profile_proposal import proposed_stance
@@ -268,6 +268,19 @@ def test_proposed_stride_leaves_room_for_coxae_that_hardly_turn() -> None:
     robot = replace(robot, stance=proposed_stance(robot))
     cycle = walk_cycle(robot, "tripod", robot.stance.body_height)
     assert joint_room(robot, cycle.q, cycle.share)[0] > 0.0
+
+
+@pytest.mark.parametrize("most_bend", [1.6, 1.8, 2.4])
+def test_knees_are_bent_at_the_greatest_proposed_height(most_bend: float) -> None:
+    """Joints of a leg that is nearly straight turn faster than servos can, as soon as its foot swings."""
+
+    def stiff(joint: DescribedJoint) -> DescribedJoint:
+        return replace(joint, limits=(-most_bend, 0.5)) if "tibia" in joint.name else joint
+
+    robot = import_profile(changed(stiff)).profile
+    low, high = robot.stance.body_height_range
+    assert low <= robot.stance.body_height <= high
+    assert (np.abs(body_inverse(robot, robot.rest_feet(high))[:, 2]) > 0.69).all()
 
 
 def test_feet_of_a_table_may_differ_between_legs(tmp_path: Path) -> None:
