@@ -1,7 +1,7 @@
 """Error of the images' stamps, estimated from the changes of a walking robot's speed.
 
 An image that is stamped too late shows the robot where it was before. While the robot speeds up, the registered poses then lag
-behind the legs, and while it slows down they catch up. A constant speed shows nothing: neither does it change the lag.
+behind the legs, and while it slows down they catch up. A constant speed shows nothing, because the lag is constant, too.
 """
 
 from dataclasses import dataclass
@@ -77,8 +77,11 @@ class StampDelay:
         lag = -np.cumsum([frame.seen @ along for frame in frames])
         constant, _ = np.linalg.qr(np.stack([np.ones_like(t), t - t.mean()], axis=1))
         speed, lag = speed - constant @ (constant.T @ speed), lag - constant @ (constant.T @ lag)
-        slope = speed @ lag / (speed @ speed)
+        excitation = float(speed @ speed)
+        if not excitation:
+            return
+        slope = float(speed @ lag) / excitation
         rest = lag - slope * speed  # of a slipping foot, and of a body that leans
         variance = max(_OF_POSE_M**2, float(rest @ rest) / (len(rest) - _FITTED))
-        self._information += float(speed @ speed) / variance
-        self._sum += float(speed @ lag) / variance
+        self._information += excitation / variance
+        self._sum += slope * excitation / variance

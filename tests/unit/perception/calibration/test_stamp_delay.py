@@ -34,7 +34,7 @@ def frames(
     """Return the frames of a walk whose images are stamped `delay_s` late; the registered poses are those of the images."""
     rng = np.random.default_rng(1)
     t = 1.0 + DT_S * np.arange(number)
-    shown = np.array([way(at - delay_s) for at in t]) + rng.normal(scale=noise_m or 1e-12, size=number)
+    shown = np.array([way(at - delay_s) for at in t]) + rng.normal(scale=noise_m, size=number)
     made = []
     for k in range(1, number):
         moved = transform(np.eye(3), [way(t[k]) - way(t[k - 1]), 0.0, 0.0])
@@ -66,6 +66,13 @@ def test_even_speed_shows_nothing() -> None:
     delay, fresh = found(frames(evenly, 0.05)), StampDelay()
     assert delay.value == pytest.approx(0.0, abs=1e-3)
     assert delay.sigma == pytest.approx(fresh.sigma, rel=0.01)
+
+
+def test_motion_without_any_change_of_speed_is_left_out() -> None:
+    moved = transform(np.eye(3), [2.0**-8, 0.0, 0.0])  # exact in floating point, as are the times
+    delay = found([Registered(np.eye(4), PRIOR, np.zeros(6), SHARP, moved, 62_500_000)] * 60)
+    assert np.isfinite(delay.value)
+    assert delay.sigma == pytest.approx(StampDelay().sigma, rel=1e-6)
 
 
 def test_robot_at_rest_teaches_nothing() -> None:
