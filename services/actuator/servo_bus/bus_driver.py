@@ -240,10 +240,10 @@ class ServoBus:
 
     def echo_problem(self) -> Problem | None:
         """Return the problem of an adapter that returns what is sent although none is set, or the reverse; else None."""
-        id_register = self.model_of(
-            self.servo_ids[0]
-        ).table.id  # one byte: in no protocol is its answer as long as the request, with the same bytes
-        found = self._line.echoes(self._protocol.read(self.servo_ids[0], id_register.address, id_register.size))
+        # The id is one byte: in no protocol is its answer as long as the request, with the same bytes.
+        servo_id = self.servo_ids[0]
+        register = self.model_of(servo_id).table.id
+        found = self._line.echoes(self._protocol.read(servo_id, register.address, register.size))
         if found == self._echo:
             return None
         return bus_scan.ECHO if found else bus_scan.NO_ECHO
