@@ -57,7 +57,7 @@ def licence(name: str) -> str:
     """Return the licence that the metadata of a distribution state: an expression, else classifiers, else a text."""
     about = importlib.metadata.metadata(name)
     classified = [one.rpartition(" :: ")[2] for one in about.get_all("Classifier") or [] if one.startswith("License :: OSI")]
-    return about["License-Expression"] or " OR ".join(classified) or about["License"] or ""
+    return about.get("License-Expression") or " OR ".join(classified) or about.get("License") or ""
 
 
 def is_permissive(expression: str) -> bool:
