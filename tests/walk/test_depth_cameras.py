@@ -7,7 +7,7 @@ from tests.support.walks import flat
 
 
 @pytest.mark.parametrize(
-    "camera", ["d405", *(pytest.param(name, marks=pytest.mark.rare) for name in ("d435", "oak", "gemini2"))]
+    "camera", ["d405", *(pytest.param(name, marks=pytest.mark.rare) for name in ("d435", "oak", "gemini2", "gemini305"))]
 )
 def test_robot_walks_with_camera(camera: str) -> None:
     report = run_lockstep(flat(0.5, robot=f"phantomx_mk2_{camera}"), 1000)
