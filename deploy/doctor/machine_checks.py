@@ -42,7 +42,7 @@ def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = 
 
     The servo port is checked only if one is given. The camera is `camera`, or that of the robot's profile.
     """
-    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(robot), chain(), disk(Path())]
+    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(robot), chain(robot), disk(Path())]
     checks += [depth_camera(robot, camera), *inertial_sensor(robot)]
     return [*checks, *servo_checks.examine(port, robot)]
 
@@ -178,7 +178,7 @@ def cycle(
     except ImportError as error:
         return Check(name, Level.WARN, f"not timed: {error}", "for emulated servos: pip install -e '.[simulator]'")
     except (ValueError, OSError) as error:
-        return Check(name, Level.WARN, f"not timed: {error}", "correct the profile, or give another with --robot")
+        return _untimed(name, error)
     p50, p99 = round(0.50 * (_CYCLES - 1)), round(0.99 * (_CYCLES - 1))
     missed = sum(ms > _MISSED_MS for ms in every)
     words = f"takes {work[p50]:.1f} (p99 {work[p99]:.1f}) of {1e3 / _CYCLE_HZ:g} ms, including emulated servos; period "
@@ -189,18 +189,20 @@ def cycle(
     return Check(name, Level.WARN, words, refused or "close other programs, those with real-time priority first")
 
 
-def chain(rehearse: Callable[[], list[rehearsal.StageLoad]] = rehearsal.rehearse) -> Check:
-    """Check that this machine keeps up with a walk at its current load.
+def chain(robot: str, rehearse: Callable[[str], list[rehearsal.StageLoad]] = rehearsal.rehearse) -> Check:
+    """Check that this machine keeps up with a walk of a robot at its current load.
 
     The check covers all stages from the depth frame to the actuator's cycle.
     """
     name = "walking"
     try:
-        stages = rehearse()
+        stages = rehearse(robot)
     except ImportError as error:
         return Check(
             name, Level.WARN, f"not timed: {error}", "for the timed services: pip install -e '.[simulator,perception,mapper]'"
         )
+    except (ValueError, OSError) as error:
+        return _untimed(name, error)
     cores_needed, usable = sum(stage.cores for stage in stages), usable_cores()
     words = f"{', '.join(stage.words for stage in stages)}; together {cores_needed:.1f} of {usable} cores"
     # This process lacks the actuator's priority, so `cycle` checks the actuator's cycle separately.
@@ -211,6 +213,10 @@ def chain(rehearse: Callable[[], list[rehearsal.StageLoad]] = rehearsal.rehearse
     what = f" ({', '.join(late)})" if late else ""
     advice = f"at its present load this computer is too slow to walk in real time{what}; use --lockstep or close programs"
     return Check(name, Level.WARN, words, advice)
+
+
+def _untimed(name: str, error: Exception) -> Check:
+    return Check(name, Level.WARN, f"not timed: {error}", "correct the profile, or give another with --robot")
 
 
 def disk(folder: Path, free: int | None = None) -> Check:

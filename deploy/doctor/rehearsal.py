@@ -7,7 +7,7 @@ load.
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,10 +57,13 @@ class AllDurations(Stages):
         self.durations.setdefault(name, []).append(duration_ms)
 
 
-def rehearse(seconds: float = SECONDS, machine: Callable[[], float] = time.monotonic) -> list[StageLoad]:
+def rehearse(
+    robot: str = "phantomx_mk2", seconds: float = SECONDS, machine: Callable[[], float] = time.monotonic
+) -> list[StageLoad]:
     """Walk on level ground and time each stage.
 
     Args:
+        robot: Profile by name, or path of a TOML file.
         seconds: [s] of real time for which the walk is timed.
         machine: [s] real time.
     """
@@ -68,8 +71,8 @@ def rehearse(seconds: float = SECONDS, machine: Callable[[], float] = time.monot
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.scenario.scenario import load_scenario
 
-    scenario = load_scenario("flat")
-    run = LockstepRun(scenario, 0, load_profile(scenario.robot))
+    profile = load_profile(robot)
+    run = LockstepRun(replace(load_scenario("flat"), robot=robot), 0, profile)
     run.run(_WALKS_AFTER_NS)
     timed = {name: AllDurations() for name in STAGES}
     for name, stages in timed.items():

@@ -110,7 +110,9 @@ def load(service: str, takes_ms: float, cores: float = 0.1) -> StageLoad:
 
 def test_chain_check_reports_time_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine_checks, "usable_cores", lambda: 2)
-    check = machine_checks.chain(lambda: [load("perception", 12.04), load("mapper", 20.0), load("actuator", 31.0)])
+    check = machine_checks.chain(
+        "phantomx_mk2", lambda _: [load("perception", 12.04), load("mapper", 20.0), load("actuator", 31.0)]
+    )
     assert (check.level, check.advice) == (Level.OK, "")
     assert check.found == (
         "frame to pose and scan takes 6.0 (p99 12.0) of 67 ms, scan to map takes 10.0 (p99 20.0) of 67 ms, "
@@ -131,23 +133,33 @@ def test_chain_check_reports_time_of_each_stage(monkeypatch: pytest.MonkeyPatch)
 )
 def test_chain_check_names_slow_stage(stages: list[StageLoad], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine_checks, "usable_cores", lambda: 2)
-    check = machine_checks.chain(lambda: stages)
+    check = machine_checks.chain("phantomx_mk2", lambda _: stages)
     assert check.level is Level.WARN
     assert check.advice == f"at its present load this computer is too slow to walk in real time{words}"
 
 
 def test_chain_check_reports_cause_if_not_timed() -> None:
-    def rehearse() -> list[StageLoad]:
+    def rehearse(robot: str) -> list[StageLoad]:
         raise ImportError("no mujoco")
 
-    check = machine_checks.chain(rehearse)
+    check = machine_checks.chain("phantomx_mk2", rehearse)
     assert (check.level, check.found) == (Level.WARN, "not timed: no mujoco")
 
 
+def test_chain_check_reports_wrong_profile(tmp_path: Path) -> None:
+    own = tmp_path / "mine.toml"
+    own.write_text('extends = "phantomx_mk2"\n[links]\nfemur = -1.0\n', encoding="utf-8")
+    check = machine_checks.chain(str(own))
+    assert check.level is Level.WARN
+    assert "links.femur" in check.found
+    assert check.advice == "correct the profile, or give another with --robot"
+
+
 @pytest.mark.slow
-def test_rehearsal_runs_all_stages_and_ends_on_time() -> None:
+@pytest.mark.parametrize("robot", ["phantomx_mk2", "printed_ds3218"])
+def test_rehearsal_runs_all_stages_and_ends_on_time(robot: str) -> None:
     looks = iter(range(100))
-    found = {stage.service: stage for stage in rehearsal.rehearse(4.0, lambda: float(next(looks)))}
+    found = {stage.service: stage for stage in rehearsal.rehearse(robot, 4.0, lambda: float(next(looks)))}
     assert found.keys() == rehearsal.STAGES.keys()
     assert all(stage.takes_ms > 0.0 and stage.cores > 0.0 for stage in found.values())
     assert next(looks) <= 7, "it ends when its seconds are over"
