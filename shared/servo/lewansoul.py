@@ -74,11 +74,11 @@ _FIRST: dict[Command, int] = {
     Command.LED_ERROR_READ: 12,
     Command.LOAD_OR_UNLOAD_READ: 24,
     Command.MOVE_TIME_READ: 25,
-    Command.MOVE_TIME_WAIT_READ: 31,
-    Command.MODE_READ: 35,
-    Command.POS_READ: 39,
-    Command.VIN_READ: 41,
-    Command.TEMP_READ: 43,
+    Command.POS_READ: 31,
+    Command.VIN_READ: 39,
+    Command.TEMP_READ: 41,
+    Command.MOVE_TIME_WAIT_READ: 42,
+    Command.MODE_READ: 46,
 }  # address of the first byte of what each command reads
 _COMMAND_AT = MappingProxyType({(first, READS[command].struct.size): command for command, first in _FIRST.items()})
 _WRITTEN_BY = MappingProxyType(
@@ -225,16 +225,16 @@ _TORQUE_ENABLE = setting("torque enable", 24, 1, 0, 0, 1)
 _GOAL = setting("goal position", 25, 2, lx16a.TICK_CENTRE, 0, lx16a.TICK_MAX)
 _GOAL_TIME = setting("goal time", 27, 2, 0, 0, 30_000)
 _GOAL_SPEED = setting("goal speed", 29, 2, 0, 0, 65_535)
-_WAITING_GOAL = setting("waiting goal position", 31, 2, 0, 0, lx16a.TICK_MAX)
-_WAITING_TIME = setting("waiting goal time", 33, 2, 0, 0, 30_000)
-_MODE = setting("mode", 35, 1, 0, 0, 1)
-_MOTOR_SPEED = setting("motor speed", 37, 2, 0, 0, 65_535)
-_POSITION = measured("present position", 39, 2)
-_VOLTAGE = measured("present voltage", 41, 2)
-_TEMPERATURE = measured("present temperature", 43, 1)
-_TORQUE_LIMIT = setting("torque limit", 44, 2, 1000, 0, 1000)
-_SPEED = measured("present speed", 46, 2)
-_LOAD = measured("present load", 48, 2)
+_POSITION = measured("present position", 31, 2)
+_TORQUE_LIMIT = setting("torque limit", 33, 2, 1000, 0, 1000)
+_SPEED = measured("present speed", 35, 2)
+_LOAD = measured("present load", 37, 2)
+_VOLTAGE = measured("present voltage", 39, 2)
+_TEMPERATURE = measured("present temperature", 41, 1)
+_WAITING_GOAL = setting("waiting goal position", 42, 2, 0, 0, lx16a.TICK_MAX)
+_WAITING_TIME = setting("waiting goal time", 44, 2, 0, 0, 30_000)
+_MODE = setting("mode", 46, 1, 0, 0, 1)
+_MOTOR_SPEED = setting("motor speed", 48, 2, 0, 0, 65_535)
 _MOVING = measured("moving", 50, 1)
 _REGISTERED = measured("registered", 51, 1)
 
@@ -244,8 +244,8 @@ TABLE = ControlTable(
     registers=(
         _ID, _OFFSET, _LOW, _HIGH, _MIN_VOLTAGE, _MAX_VOLTAGE, _MAX_TEMPERATURE, _LED_OFF, _LED_FAULTS, _MODEL_NUMBER,
         _FIRMWARE, _BAUD_RATE, _RETURN_DELAY, _RETURN_LEVEL, _MAX_TORQUE, _SHUTDOWN, _TORQUE_ENABLE, _GOAL, _GOAL_TIME,
-        _GOAL_SPEED, _WAITING_GOAL, _WAITING_TIME, _MODE, _MOTOR_SPEED, _POSITION, _VOLTAGE, _TEMPERATURE,
-        _TORQUE_LIMIT, _SPEED, _LOAD, _MOVING, _REGISTERED,
+        _GOAL_SPEED, _POSITION, _TORQUE_LIMIT, _SPEED, _LOAD, _VOLTAGE, _TEMPERATURE, _WAITING_GOAL, _WAITING_TIME,
+        _MODE, _MOTOR_SPEED, _MOVING, _REGISTERED,
     ),
     eeprom=range(24),
     ram=range(24, 52),
