@@ -126,6 +126,7 @@ def _wire_messages() -> list[bytes]:
         bridge_protocol.Torque(7, 2, 10**6, 1),
         bridge_protocol.Limits(7, 3, 10**6, many),
         bridge_protocol.Ask(7, 4, 10**6, 3, 2, 36, 8, b""),
+        bridge_protocol.First(7, 5, 10**6, ids[:3]),
         bridge_protocol.Welcome(bridge_protocol.VERSION, 7, 9, 10**6, "reference board", "AX-12A"),
         bridge_protocol.State(
             7,

@@ -170,7 +170,7 @@ class Simulator:
         if self._profile.servo.pulses is not None:
             assert isinstance(bank, ServoBank)
             return make_board(bank, self._profile.servo.pulses)
-        return ServoBusEmulator(bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
+        return ServoBusEmulator(bank, BusTiming(bank.model.bus_rate, 0) if self._settings.bridge else None)
 
     def _give(self, buses: Sequence[BusFaults], fault: BusFault, now_ns: int) -> None:
         """Inject a fault into the bus of its servo, or into all buses."""

@@ -165,8 +165,7 @@ class Hello(Message):
     ids: Ids  # servo ids, in the order of the values in all later messages
 
     def _agree(self) -> None:
-        if not self.ids or len(set(self.ids)) != len(self.ids):
-            raise ValueError(f"Hello.ids: at least one id, each once, expected, found {list(self.ids)}")
+        _each_once(self, self.ids)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +230,23 @@ class Ask(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class First(Message):
+    """Servos that get the next goals first, and are read last before the state after them.
+
+    It is for servos whose bus is too slow for all goals and readings.
+    """
+
+    code = 6
+    session: Session
+    sequence: U32
+    time_us: U64
+    ids: Ids
+
+    def _agree(self) -> None:
+        _each_once(self, self.ids)
+
+
+@dataclass(frozen=True, slots=True)
 class Welcome(Message):
     """Response to a hello.
 
@@ -288,8 +304,8 @@ class Answer(Message):
     data: Table
 
 
-MESSAGES: dict[int, type[Message]] = {m.code: m for m in (Hello, Goals, Torque, Limits, Ask, Welcome, State, Answer)}
-FROM_HOST = frozenset((Hello, Goals, Torque, Limits, Ask))
+MESSAGES: dict[int, type[Message]] = {m.code: m for m in (Hello, Goals, Torque, Limits, Ask, First, Welcome, State, Answer)}
+FROM_HOST = frozenset((Hello, Goals, Torque, Limits, Ask, First))
 TO_HOST = frozenset((Welcome, State, Answer))
 
 
@@ -322,6 +338,11 @@ def _wire_value(message: type[Message], name: str, turn: Any, value: Any) -> Any
         return turn(value)
     except ValueError as error:
         raise ValueError(f"{message.__name__}.{name}: {error}") from None
+
+
+def _each_once(message: Message, ids: bytes) -> None:
+    if not ids or len(set(ids)) != len(ids):
+        raise ValueError(f"{type(message).__name__}.ids: at least one id, each once, expected, found {list(ids)}")
 
 
 def _same_length(message: Message, *names: str) -> None:

@@ -7,12 +7,13 @@ writes the table; a test compares it.
 
 import sys
 
-from sextant.shared.servo import dynamixel, dynamixel2, feetech
+from sextant.shared.servo import dynamixel, dynamixel2, feetech, lewansoul
 from sextant.shared.servo.firmware import wire
+from sextant.shared.servo.lx16a import READS, WRITES, Command
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Block, Register, ServoModel, Sign
 
-_PROTOCOLS = {dynamixel.NAME: 1, feetech.NAME: 1, dynamixel2.NAME: 2}
+_PROTOCOLS = {dynamixel.NAME: 1, feetech.NAME: 1, dynamixel2.NAME: 2, lewansoul.NAME: 3}
 _SCALE = 1 << 14
 _COMPLEMENT = -1  # as in servo.py, which cannot be imported before the table exists
 _HEAD = '''"""Servo models, computed from those of the host: see `sextant.shared.servo.firmware_models`."""
@@ -39,6 +40,8 @@ def text() -> str:
 
 def layout(model: ServoModel) -> tuple[object, ...]:
     """Return the registers and units of a model, as `firmware/servo.py` reads them."""
+    if model.commands is not None:
+        return _layout_of_commands(model)
     table, units, protocol = model.table, model.units, model.protocol
     state, goals = table.state, table.goals
     adopted = Block((table.torque_enable, table.goal_position, table.present_position))
@@ -66,9 +69,35 @@ def layout(model: ServoModel) -> tuple[object, ...]:
         (
             units.centre,
             units.max_position,
+            0,
             _unit(units.tick_rad, wire.ANGLE_RAD),
             _unit(units.speed_rad_s, wire.SPEED_RAD_S),
             _unit(units.load, wire.LOAD),
+            _unit(units.volt, wire.VOLT),
+        ),
+    )
+
+
+def _layout_of_commands(model: ServoModel) -> tuple[object, ...]:
+    """Return the same of a model with commands, which are its addresses."""
+    units, move, position = model.units, WRITES[Command.MOVE_TIME_WRITE], READS[Command.POS_READ]
+    return (
+        _PROTOCOLS[model.protocol.NAME],
+        0,
+        (0xFF, ()),
+        (-1, (), 0),
+        int(Command.LOAD_OR_UNLOAD_WRITE),
+        (0, 0, 0, 0),
+        (int(Command.MOVE_TIME_WRITE), move.struct.size, (0, 2), (2, 2), move.fields[1].max),
+        (int(Command.POS_READ), position.struct.size, ((0, 2, _COMPLEMENT),)),
+        (0, 0, ()),
+        (
+            units.centre,
+            units.max_position,
+            units.overrun,
+            _unit(units.tick_rad, wire.ANGLE_RAD),
+            _SCALE,  # a time [ms]
+            _unit(wire.ANGLE_RAD * model.gain_stiffness, wire.LOAD),
             _unit(units.volt, wire.VOLT),
         ),
     )

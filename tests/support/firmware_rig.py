@@ -19,6 +19,7 @@ from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo.bridge_protocol import LOAD, Limits
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.servo.firmware import board, config
+from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import ServoModel
 
 STAND_INS = Path(__file__).parent / "micropython"
@@ -64,14 +65,15 @@ class BoardFirmware:
         machine, self._record, self._echo = stand_in("machine"), record, echo
         self._now_us = now_us
         self._clock = board.Clock(self._ticks, ticks_diff)
-        values = {**vars(config), "SERVO": servo, "ECHO": echo, "DIRECTION": None if echo else 6}
+        rate = MODEL_NAMED[servo].bus_rate
+        values = {**vars(config), "SERVO": servo, "BAUD_RATE": rate, "ECHO": echo, "DIRECTION": None if echo else 6}
         settings = SimpleNamespace(**{**values, "HOST_UART": 0, "HOST_TX": 0, "HOST_RX": 1})
         self._bus, self._host = board.open_bus(machine, settings), board.open_host(machine, settings, None)
         self._servos, self._computer = self._bus._uart, self._host._uart  # type: ignore[attr-defined]
         self._servos.pin = self._bus._direction
         self._began_us = now_us
         self.firmware = board.start(settings, boot, self._clock.now_us())
-        record.append(f"B,{boot},{self._ticks()},{servo},{int(echo)}")
+        record.append(f"B,{boot},{self._ticks()},{servo},{int(echo)},{rate}")
 
     def _ticks(self) -> int:
         return (START_US + self._now_us) % TICKS
@@ -116,11 +118,11 @@ class FirmwareRig:
         ids = list(range(1, count + 1))
         self.now_ns, self.model, self.count = 0, model, count
         self.bank = ServoBank(ids, model)
-        settings = {model.table.baud_rate: model.rate_code(1_000_000), **model.joint_settings}
+        settings = {model.table.baud_rate: model.rate_code(model.bus_rate), **model.joint_settings}
         for row in range(count):
             for register, value in settings.items():
                 self.bank.write(row, register.address, register.encode(value))
-        self.faults = BusFaults(ServoBusEmulator(self.bank, BusTiming(usb_transaction_ns=0)), self.bank)
+        self.faults = BusFaults(ServoBusEmulator(self.bank, BusTiming(model.bus_rate, 0)), self.bank)
         self.board = RecordedBoard(self.faults, model, echo)
         self.port = MemoryPort(self.board, lambda: self.now_ns, READ_NS * 1e-9)
         self._read, self._write = self.port.read, self.port.write

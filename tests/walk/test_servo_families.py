@@ -36,9 +36,10 @@ def test_robot_walks_to_its_goal(name: str, terrain: str, distance: float) -> No
     ("name", "terrain", "distance"),
     [
         ("XL430-W250", "flat", 0.4),
+        ("LX-16A", "flat", 0.4),
         *(
             pytest.param(name, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.rare)
-            for name in ("AX-12A", "MX-28", "XL430-W250", "XM430-W350", "STS3215")  # XL-320 fails: docs/firmware.md
+            for name in ("AX-12A", "MX-28", "XL430-W250", "XM430-W350", "STS3215", "LX-16A")  # XL-320 fails: docs/firmware.md
         ),
     ],
 )
@@ -69,11 +70,11 @@ def test_robot_lighter_than_a_kilogram_feels_level_ground_and_walks() -> None:
 
 
 @pytest.mark.rare
-@pytest.mark.parametrize("name", ["jethexa_hx35h", "small_sts3215"])
-def test_robot_walks_over_steps_of_its_size(name: str) -> None:
+@pytest.mark.parametrize(("name", "bridge"), [("jethexa_hx35h", False), ("jethexa_hx35h", True), ("small_sts3215", False)])
+def test_robot_walks_over_steps_of_its_size(name: str, bridge: bool) -> None:
     robot = load_profile(name)
     course = load_scenario("steps").scaled(leg_scale(robot))
-    walk(robot, course.name, course.goal.distance)
+    walk(robot, course.name, course.goal.distance, bridge)
 
 
 def walk(profile: RobotProfile, terrain: str, distance: float, bridge: bool = False) -> None:

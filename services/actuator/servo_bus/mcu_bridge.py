@@ -15,13 +15,14 @@ from sextant.services.actuator.servo_bus.bus_driver import (
     LOST,
     BusSetupError,
     Port,
-    ServoBus,
     ServoReading,
     gone,
     reading,
 )
+from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.actuator.servo_bus.group_writes import whole
 from sextant.services.actuator.servo_bus.reading_validation import State as Registers
+from sextant.services.actuator.servo_bus.servo_reading import PositionReadings
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo.bridge_protocol import (
     ANGLE_RAD,
@@ -39,7 +40,7 @@ from sextant.shared.servo.bridge_protocol import (
     Welcome,
 )
 from sextant.shared.servo.models import AX_12A
-from sextant.shared.servo.servo_model import Kind, Register, ServoError, ServoModel
+from sextant.shared.servo.servo_model import Feedback, Kind, Register, ServoError, ServoModel
 
 READ_NS = 1_000_000  # [ns] longest wait of one read of the port
 _LIFETIME_MS = 200  # [ms] validity of goals
@@ -49,7 +50,9 @@ _GREET_AGAIN_NS = 100_000_000  # [ns] between two hellos in the loop
 _SILENT_NS = 100_000_000  # [ns] without a state, or without the effect of an order, after which a problem is reported
 _ANSWER_NS = 40_000_000  # [ns] timeout of a servo's answer through the bridge
 _NEW_US = 1_000  # [us] by which a new reading is newer than the last one
-_CYCLE_NS = 20_000_000  # [ns] in which the bridge reads every servo
+_CYCLE_NS = 20_000_000  # [ns] in which the bridge reads every servo ...
+_TURN_NS = 100_000_000  # [ns] ... that has registers; one with commands is read in this time
+_BITS_PER_BYTE = 10
 _OTHER_GOALS_US = 5_000  # [us] after the newest goals from which goals count as newer ones
 _NEVER_US = -1_000_000_000  # [us] long ago
 _NS_PER_US = 1_000
@@ -73,6 +76,7 @@ class Bridge:
         model: ServoModel = AX_12A,
         names: Mapping[int, str] | None = None,
         lock: bool = False,
+        stiffness: Sequence[float] | None = None,
     ) -> None:
         """Take over an open port. Nothing is sent before `setup` or another call.
 
@@ -83,6 +87,7 @@ class Bridge:
             model: The servo type, for which the board must be configured.
             names: Leg and joint of each id, for messages.
             lock: `setup` locks the EEPROM of the servos, see `ServoBus`.
+            stiffness: (n,) [1/rad] of servos with commands, see `CommandBus`.
 
         Raises:
             ValueError: Too many ids, one out of range or given twice.
@@ -98,7 +103,7 @@ class Bridge:
         self._receiver = Receiver(bridge_protocol.TO_HOST)
         self.model, self._table = model, model.table
         questions = _Questions(self)
-        self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
+        self._registers = bus_of(model)(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self.servo_ids = self._registers.servo_ids
         self._invalid_reason: Counter[str] = Counter()  # ignored states
         self._session = 0
@@ -114,6 +119,12 @@ class Bridge:
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._measured_us = [-_NEW_US - 1] * n  # the same, by the microcontroller's clock
         self._taken_us = (_NEVER_US, _NEVER_US)  # when, by that clock, it accepted the previous goals and the newest ones
+        own = [model.gain_stiffness] * n if stiffness is None else stiffness
+        self._estimates = None if model.commands is None else PositionReadings(model.units, own)
+        self._turn_ns = _CYCLE_NS if model.commands is None else _TURN_NS
+        self._goal_us = _goal_us(model)
+        self._first: tuple[int, ...] = ()  # indices of servos to be read and moved first
+        self._written_us = [0] * n  # [us] between the acceptance of goals and the end of the packet to each servo
         self._torque: bool | None = None  # as ordered last
         self._torque_ns = 0
         self._goals_since_ns, self._goals_ns = 0, -1  # start of the gapless sequence of goals, and time of the newest ones
@@ -172,9 +183,9 @@ class Bridge:
 
     @property
     def missed(self) -> NDArray[np.int64]:
-        """(n,) cycles in which each servo has sent nothing new."""
+        """(n,) turns of reading in which each servo has sent nothing new."""
         ages = self.ages()
-        return (np.where(np.isfinite(ages), ages, 0.0) * 1e9 // _CYCLE_NS).astype(np.int64)
+        return (np.where(np.isfinite(ages), ages, 0.0) * 1e9 // self._turn_ns).astype(np.int64)
 
     @property
     def loss(self) -> float:
@@ -272,6 +283,8 @@ class Bridge:
         units = self.model.units
         angles = (self._whole(goal_ticks, self._table.goal_position) - units.centre) * (units.tick_rad / ANGLE_RAD)
         speeds = self._whole(speed_ticks, self._table.goal_speed) * (units.speed_rad_s / SPEED_RAD_S)
+        if self._first:
+            self._send(bridge_protocol.First(*self._head(), bytes(self.servo_ids[index] for index in self._first)))
         self._send(bridge_protocol.Goals(*self._head(), _LIFETIME_MS, _rounded(angles), _rounded(speeds)))
 
     def set_torque(self, enabled: bool) -> None:
@@ -287,16 +300,21 @@ class Bridge:
 
         Args:
             budget_ns: [ns] time for this call; 0 reads nothing.
-            first: Ignored: all servos are read in every cycle.
+            first: Indices of servos with commands that the bridge moves and reads first. Others are all read in every cycle.
 
         Raises:
             BusDisconnectedError: The port is gone.
         """
+        if self._estimates is not None:
+            self._first = tuple(sorted(set(first)))
+            for place, index in enumerate(self._first):
+                self._written_us[index] = (place + 1) * self._goal_us
         until = self._clock() + budget_ns
         while self._clock() < until and self._pump() == _CHUNK_BYTES:
             pass
         self._keep_in_touch()
-        readings = list(self._fresh.values())
+        # Of legs that may touch ground, a reading tells something only about the newest goals.
+        readings = [found for i, found in self._fresh.items() if i not in self._first or found.told_ns >= self._goals_ns]
         self._fresh.clear()
         return readings
 
@@ -429,7 +447,7 @@ class Bridge:
             return
         self._measured_us[index] = measured_us
         self._read_ns[index] = stamp_ns - age_us * _NS_PER_US
-        before_us, newest_us = self._taken_us
+        before_us, newest_us = (taken_us + self._written_us[index] for taken_us in self._taken_us)
         told_us = newest_us if measured_us >= newest_us else before_us
         told_ns = self._read_ns[index] - (measured_us - told_us) * _NS_PER_US
         units, error = self.model.units, ServoError(state.error[index])
@@ -442,8 +460,41 @@ class Bridge:
             temperature=state.temperature[index],
             error=int(error),
         )
-        self._fresh.pop(index, None)  # keep the order of reading
-        self._fresh[index] = reading(index, self.servo_ids[index], told_ns, registers, error, units)
+        before = self._fresh.pop(index, None)  # keep the order of reading
+        if self._estimates is None:
+            found = reading(index, self.servo_ids[index], told_ns, registers, error, units)
+        else:
+            found = self._estimated(self._estimates, index, told_ns, registers)
+            if before is not None:  # a voltage or temperature is in one state only
+                _keep_slow_values(found, before)
+        self._fresh[index] = found
+
+    def _estimated(self, estimates: PositionReadings, index: int, told_ns: int, state: Registers) -> ServoReading:
+        """Return the reading of a servo that measures no speed and no load; its load tells the goal that it had.
+
+        A voltage or temperature of 0 was not read.
+        """
+        units, model = self.model.units, self.model
+        goal = units.angle(state.position) + state.load * units.load / model.gain_stiffness
+        extra = Feedback.VOLTAGE if state.voltage else Feedback.NONE
+        extra |= Feedback.TEMPERATURE if state.temperature else Feedback.NONE
+        return estimates.reading(index, self.servo_ids[index], told_ns, state, goal, extra)
+
+
+def _keep_slow_values(found: ServoReading, before: ServoReading) -> None:
+    """Add the voltage and temperature of a reading that a newer one replaces."""
+    if Feedback.VOLTAGE not in found.measured:
+        found.voltage = before.voltage
+    if Feedback.TEMPERATURE not in found.measured:
+        found.temperature = before.temperature
+    found.measured |= before.measured
+
+
+def _goal_us(model: ServoModel) -> int:
+    """Return the time [us] of a packet with the goal of one servo with commands."""
+    table = model.table
+    size = model.protocol.OVERHEAD + table.goal_position.size + (table.goal_time.size if table.goal_time else 0)
+    return size * _BITS_PER_BYTE * 1_000_000 // model.bus_rate
 
 
 def _rounded(values: NDArray[np.floating]) -> tuple[int, ...]:
@@ -461,11 +512,13 @@ class _Questions:
         self._open: tuple[int, int] | None = None  # servo and number of the pending request
 
     def write(self, data: bytes, /) -> int:
+        has_commands = self._bridge.model.commands is not None
         for packet in self._parser.feed(data):
             request = self._protocol.request(packet)
             if request is not None and request.kind in _INSTRUCTIONS:
                 size = request.size if request.kind is Kind.READ else 0
-                number = self._bridge.ask(packet.servo_id, _INSTRUCTIONS[request.kind], request.address, size, request.data)
+                address = packet.code if has_commands else request.address
+                number = self._bridge.ask(packet.servo_id, _INSTRUCTIONS[request.kind], address, size, request.data)
                 self._open = packet.servo_id, number
         return len(data)
 

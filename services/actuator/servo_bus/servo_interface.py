@@ -27,6 +27,7 @@ from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
 from sextant.services.actuator.servo_bus.several_buses import SeveralBuses
 from sextant.shared.robot.joint_servos import BusRows
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.servo import Servo
 from sextant.shared.servo.bus_ports import bus_ports, wrong_ports
 from sextant.shared.servo.servo_model import Register, ServoModel
 
@@ -220,11 +221,7 @@ def of_bus(
     """Return the servos on one bus of a robot, on its open port."""
     all_ids, each = list(profile.servo_names), [profile.servos.each[row] for row in bus.rows]
     ids, model = [all_ids[row] for row in bus.rows], each[0].servo_model
-    connected = (
-        ServoBus
-        if model.commands is None
-        else partial(CommandBus, stiffness=[servo.stiffness / servo.stall_torque for servo in each])
-    )
+    connected = ServoBus if model.commands is None else partial(CommandBus, stiffness=_stiffness(each))
     return connected(
         port,
         ids,
@@ -239,6 +236,11 @@ def of_bus(
     )
 
 
+def _stiffness(servos: Sequence[Servo]) -> list[float]:
+    """Return the share of the stall torque per position error [1/rad] of each servo."""
+    return [servo.stiffness / servo.stall_torque for servo in servos]
+
+
 def on_port(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
     """Return the servos of a robot with one bus on its open port."""
     model, names = profile.servo_model, profile.servo_names
@@ -249,10 +251,7 @@ def on_port(profile: RobotProfile, settings: Settings, port: Port, clock: Callab
     if settings.bridge:
         if profile.servo_groups:
             raise BusSetupError(_ONE_BEHIND_BRIDGE.format(profile.name))
-        if model.commands is not None:
-            raise BusSetupError(
-                f"a bridge to servos with registers expected, found {model.name} in the profile {profile.name}; "
-                "connect these servos to an adapter, and turn the setting `bridge` off"
-            )
-        return Bridge(port, list(names), clock, model=model, names=names, lock=profile.servo.lock_eeprom)
+        stiffness = _stiffness(profile.servos.each)
+        lock = profile.servo.lock_eeprom
+        return Bridge(port, list(names), clock, model=model, names=names, lock=lock, stiffness=stiffness)
     return of_bus(profile, profile.servos.buses[0], port, clock, echo=settings.echo)

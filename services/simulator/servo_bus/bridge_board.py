@@ -8,6 +8,7 @@ from typing import Protocol
 
 from sextant.services.simulator.servo_bus.bus import BusTiming
 from sextant.services.simulator.servo_bus.host_link import AdapterPort, HostLink, Outbox, Reply
+from sextant.shared.servo.firmware.board import firmware_for
 from sextant.shared.servo.firmware.bridge import Firmware
 from sextant.shared.servo.models import AX_12A
 from sextant.shared.servo.servo_model import ServoModel
@@ -35,7 +36,7 @@ class Board:
         """Connect the board; it boots at the first time that it receives.
 
         Args:
-            bus: The servo bus at 1 Mbit/s, without the delay of a USB adapter.
+            bus: The servo bus at the rate of the model, without the delay of a USB adapter.
             link: Delays of the link to the host; by default 1 Mbit/s and a USB frame.
             model: The servos for which the board is configured.
 
@@ -99,7 +100,7 @@ class Board:
         self._from_bus = Outbox()
 
     def _boot(self, now_ns: int) -> Firmware:
-        return Firmware(self.boots, self._model.name, _NAME, now_ns // _NS_PER_US)
+        return firmware_for(self.boots, self._model.name, _NAME, now_ns // _NS_PER_US, self._model.bus_rate)
 
     def _run(self, now_ns: int) -> None:
         """Step the firmware through all events up to a time [ns]."""

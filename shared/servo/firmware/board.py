@@ -1,6 +1,8 @@
 """The firmware on a board: its ports and its clock. `main.py` gives it the hardware, tests give it stand-ins."""
 
-from .bridge import Firmware
+from .bridge import CYCLE_US, Firmware
+from .commands import CommandFirmware
+from .servo import ServoModel
 
 MAX_BYTES = 512  # [bytes] that are read from the host at once
 
@@ -116,9 +118,17 @@ def _open_uart(machine, config, number: int, rate: int, tx: object, rx: object):
     return machine.UART(number, **options)
 
 
+def firmware_for(
+    boot: int, servo: str, name: str, now_us: int, baud_rate: int = 1_000_000, cycle_us: int = CYCLE_US
+) -> Firmware:
+    """Return the firmware for servos with registers or commands; see `Firmware`."""
+    kind = CommandFirmware if ServoModel(servo).has_commands else Firmware
+    return kind(boot, servo, name, now_us, baud_rate, cycle_us)
+
+
 def start(config, boot: int, now_us: int) -> Firmware:  # type: ignore[no-untyped-def]
     """Return the firmware for the servos of the settings."""
-    return Firmware(boot, config.SERVO, config.NAME, now_us, config.BAUD_RATE, config.CYCLE_MS * 1000)
+    return firmware_for(boot, config.SERVO, config.NAME, now_us, config.BAUD_RATE, config.CYCLE_MS * 1000)
 
 
 def turn(firmware: Firmware, clock: Clock, host, bus) -> None:  # type: ignore[no-untyped-def]

@@ -41,6 +41,9 @@ class _Servo:
 class Firmware:
     """Firmware between a host link and a servo bus."""
 
+    _SERVO: type = _Servo
+    _ADOPTED_BY: tuple = (_ADOPTED,)  # kinds of readings in mode ADOPTING
+
     def __init__(
         self,
         boot: int,
@@ -80,6 +83,7 @@ class Firmware:
         self._goals_due = False  # whether they are still to be written
         self._written_us = 0
         self._limits: tuple | None = None  # [0.1 %] to be written
+        self._first = b""  # ids of the servos that the next goals go to first
         self._torque_on_due = self._torque_off_due = False
         self._off_ordered = False
         self._questions: list[list] = []  # sequence, servo id, instruction, address, size and data of each
@@ -150,10 +154,15 @@ class Firmware:
                 self._align()
         elif code == wire.LIMITS:
             if self._admits(session, sequence, stamp_us, wire.ORDER_LIFETIME_MS, len(message[4])):
-                self._limits = message[4]
+                if self._model.limit_size:
+                    self._limits = message[4]
+                else:
+                    self._refuse(wire.QUESTION)
         elif self._admits(session, sequence, stamp_us, wire.ORDER_LIFETIME_MS, len(self._servos)):
             if code == wire.TORQUE:
                 self._turn_on()
+            elif code == wire.FIRST:
+                self._first = message[4]
             else:
                 self._take_question(sequence, message[4:])
 
@@ -164,13 +173,14 @@ class Firmware:
         """
         if session != self._session:
             self._session, self._heard = session, 0
-            self._servos = [_Servo(servo_id) for servo_id in ids]
+            self._servos = [self._SERVO(servo_id) for servo_id in ids]
             self._host_clock = wire.RemoteClock()
             self._goals, self._goals_due, self._torque_on_due = None, False, False
             self._limits = None
             self._questions = []
             self._bus.forget()
-            self._to_read = [(servo, _ADOPTED, ATTEMPTS) for servo in self._servos]
+            self._first = b""
+            self._to_read = [(servo, kind, ATTEMPTS) for kind in self._ADOPTED_BY for servo in self._servos]
             self._round_due = False
             reading_us = self._bus.reading_us(self._model.state_size)
             self._round_us = min(len(ids) * reading_us * 5 // 4, self._cycle_us)
@@ -238,9 +248,9 @@ class Firmware:
         """Return why a request may not be sent to a servo, NONE if it may."""
         servo_id, instruction, address, size, data = question
         if instruction == wire.READ:
-            valid = size and not data and address + size <= self._model.size
+            valid = size and not data and self._is_readable(address, size)
         elif instruction == wire.WRITE:
-            valid = data and not size and address + len(data) <= self._model.size
+            valid = data and not size and self._is_writable(address, len(data))
         else:
             known = instruction == wire.PING or (instruction == wire.REBOOT and self._model.protocol.reboot(servo_id))
             valid = known and not address and not size and not data
@@ -249,14 +259,24 @@ class Firmware:
         refusal = self._torque_objection(question)
         return wire.BUSY if refusal == wire.NONE and len(self._questions) >= QUESTIONS else refusal
 
+    def _is_readable(self, address: int, size: int) -> bool:
+        return address + size <= self._model.size
+
+    def _is_writable(self, address: int, size: int) -> bool:
+        return address + size <= self._model.size
+
+    def _may_turn_on(self, address: int, data: bytes) -> bool:
+        """Return whether a write may turn torque on."""
+        at = self._model.torque_enable - address
+        return 0 <= at < len(data) and bool(data[at])
+
     def _torque_objection(self, question: list) -> int:
         """Return why a request may not turn torque on, NONE if it may or does not.
 
         It may do so for one servo near its goal while torque is ordered on: this ends the shutdown of some servos.
         """
         servo_id, instruction, address, _, data = question
-        at = self._model.torque_enable - address
-        if instruction != wire.WRITE or not 0 <= at < len(data) or not data[at]:
+        if instruction != wire.WRITE or not self._may_turn_on(address, data):
             return wire.NONE
         indices = [index for index, servo in enumerate(self._servos) if servo.servo_id == servo_id]
         if data != b"\1" or self.mode != wire.ON or not indices:
@@ -327,22 +347,31 @@ class Firmware:
             return self._bus.tell(self._goals_packet(), self._now_us)
         if self._torque_on_due:
             self._torque_on_due = False
-            return self._bus.tell(self._for_all(model.torque_enable, 1, [b"\1"] * len(self._servos)), self._now_us)
+            return self._bus.tell(self._torque_on_packet(), self._now_us)
         if self._limits is not None:
             rows = [model.limit(share) for share in self._limits]
             self._limits = None
             return self._bus.tell(self._for_all(model.limit_address, model.limit_size, rows), self._now_us)
+        return self._next_question() or self._next_reading()
+
+    def _next_question(self) -> bytes:
+        """Return the packet of the next request of the host."""
         while self._questions:
             question = self._questions.pop(0)
             refusal = self._torque_objection(question[1:])  # again: torque off may have been ordered since
             if refusal == wire.NONE:
                 return self._ask_question(question)
             self._refuse_question(question[0], refusal)
-        if self._to_read:
-            servo, kind, _ = self._to_read[0]
-            address, size = self._block(kind)
-            return self._bus.ask(protocol.read(servo.servo_id, address, size), servo.servo_id, size, servo, self._now_us)
         return b""
+
+    def _next_reading(self) -> bytes:
+        """Return the packet of the next reading."""
+        if not self._to_read:
+            return b""
+        servo, kind, _ = self._to_read[0]
+        address, size = self._block(kind)
+        packet = self._model.protocol.read(servo.servo_id, address, size)
+        return self._bus.ask(packet, servo.servo_id, size, servo, self._now_us)
 
     def _ask_question(self, question: list) -> bytes:
         """Start a request of the host."""
@@ -367,12 +396,21 @@ class Firmware:
         return self._model.hardware_address, 1
 
     def _goals_packet(self) -> bytes:
-        """Return the packet of goals.
+        """Return the packet of goals."""
+        assert self._goals is not None
+        rows = []
+        for servo, goal, speed in zip(self._servos, self._next_goals(), self._goals[2]):
+            servo.goal = goal
+            rows.append(self._model.goal(goal, speed))
+        return self._for_all(self._model.goals_address, self._model.goals_size, rows)
+
+    def _next_goals(self) -> list[int]:
+        """Return the angles to write.
 
         They are the received goals. While catching up, they move toward these slowly, so that all servos arrive together.
         """
         assert self._goals is not None
-        _, angles, speeds = self._goals
+        angles = self._goals[1]
         furthest = 0
         for servo, angle in zip(self._servos, angles):
             if servo.goal is not None:
@@ -381,15 +419,17 @@ class Firmware:
             self.mode = wire.ON
         elapsed_us = min(self._now_us - self._written_us, 2 * self._cycle_us)
         reach = max(CATCH_UP_SPEED * elapsed_us // 1_000_000, 1)
-        rows = []
-        for servo, angle, speed in zip(self._servos, angles, speeds):
-            if servo.goal is None or self.mode == wire.ON:
-                servo.goal = angle
-            else:
-                servo.goal += ((angle - servo.goal) * reach * 2 + furthest) // (2 * furthest)  # rounded
-            rows.append(self._model.goal(servo.goal, speed))
         self._written_us = self._now_us
-        return self._for_all(self._model.goals_address, self._model.goals_size, rows)
+        if self.mode == wire.ON:
+            return list(angles)
+        found = []
+        for servo, angle in zip(self._servos, angles):
+            way = 0 if servo.goal is None else angle - servo.goal
+            found.append(angle - way + (way * reach * 2 + furthest) // (2 * furthest))  # rounded
+        return found
+
+    def _torque_on_packet(self) -> bytes:
+        return self._for_all(self._model.torque_enable, 1, [b"\1"] * len(self._servos))
 
     def _for_all(self, address: int, size: int, rows: list[bytes]) -> bytes:
         """Return a packet that writes a block of each servo."""
@@ -413,18 +453,23 @@ class Firmware:
                 self._to_read.append((servo, kind, attempts - 1))
         elif len(packet[2]) != self._block(kind)[1] or packet[1] & ~self._model.known_errors:
             self._bus.garbled += 1
-        elif kind == _ADOPTED:
-            self._adopt(servo, packet[2])
-        elif kind == _HARDWARE:
-            servo.hardware_error |= self._model.hardware_errors(packet[2][0])
         else:
-            self._note_state(servo, began_us, packet[1], self._model.state(packet[2]))
+            self._take(servo, kind, began_us, packet[1], packet[2])
         if self._to_read:
             return
         if self.mode == wire.ADOPTING:
             self._take_over()
         else:
             self._round_us = min((self._now_us - self._round_began_us) * 9 // 8, self._cycle_us)
+
+    def _take(self, servo: _Servo, kind: int, began_us: int, code: int, data: bytes) -> None:
+        """Store what was read, a kind of reading that was requested at `began_us`."""
+        if kind == _ADOPTED:
+            self._adopt(servo, data)
+        elif kind == _HARDWARE:
+            servo.hardware_error |= self._model.hardware_errors(data[0])
+        else:
+            self._note_state(servo, began_us, code, self._model.state(data))
 
     def _note_state(self, servo: _Servo, began_us: int, code: int, state: tuple | None) -> None:
         if state is None:

@@ -24,7 +24,8 @@ class BusMaster:
         self._parser = Parser(protocol, max_parameters)
         self._baud_rate = baud_rate
         self._about: object = None  # of the pending request, None without one
-        self._servo_id = self._size = 0  # of the pending request: servo, and number of parameters of a valid response
+        # Of the pending request: servo, and number of parameters and code of a valid response; -1 for any code.
+        self._servo_id = self._size = self._code = 0
         self._began_us = self._until_us = 0
         self._free_us = now_us
 
@@ -45,11 +46,15 @@ class BusMaster:
 
     def reading_us(self, size: int) -> int:
         """Return the time [us] of a request and its answer with `size` parameters, without delays."""
-        return self._bytes_us(len(self._protocol.read(1, 0, size)) + self._protocol.OVERHEAD + size)
+        return self.bytes_us(len(self._protocol.read(1, 0, size)) + self._protocol.OVERHEAD + size)
+
+    def bytes_us(self, count: int) -> int:
+        """Return the time [us] of a number of bytes."""
+        return (count * _BIT_PER_BYTE * 1_000_000 + self._baud_rate - 1) // self._baud_rate
 
     def tell(self, packet: bytes, now_us: int) -> bytes:
         """Start a packet without a response, and return its bytes."""
-        self._free_us = now_us + self._bytes_us(len(packet))
+        self._free_us = now_us + self.bytes_us(len(packet))
         return packet
 
     def ask(self, packet: bytes, servo_id: int, size: int, about: object, now_us: int) -> bytes:
@@ -58,7 +63,8 @@ class BusMaster:
         A valid response has `size` parameters; a response that refuses the request has none.
         """
         self._servo_id, self._size, self._about, self._began_us = servo_id, size, about, now_us
-        self._until_us = now_us + self._bytes_us(len(packet) + self._protocol.OVERHEAD + size) + TIMEOUT_US
+        self._code = self._protocol.answer_code(packet)
+        self._until_us = now_us + self.bytes_us(len(packet) + self._protocol.OVERHEAD + size) + TIMEOUT_US
         return packet
 
     def hear(self, data: bytes, now_us: int) -> list[tuple]:
@@ -69,7 +75,8 @@ class BusMaster:
         """
         closed = []
         for packet in self._parser.feed(data):
-            if not self.waits or packet[0] != self._servo_id or len(packet[2]) not in (0, self._size):
+            wrong = not self.waits or packet[0] != self._servo_id or len(packet[2]) not in (0, self._size)
+            if wrong or self._code not in (-1, packet[1]):
                 self.garbled += 1
             else:
                 closed.append(self._close(packet, now_us))
@@ -89,6 +96,3 @@ class BusMaster:
     def _close(self, packet: tuple | None, now_us: int) -> tuple:
         about, self._about, self._free_us = self._about, None, now_us
         return about, self._began_us, packet
-
-    def _bytes_us(self, count: int) -> int:
-        return (count * _BIT_PER_BYTE * 1_000_000 + self._baud_rate - 1) // self._baud_rate

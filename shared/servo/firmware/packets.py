@@ -1,10 +1,14 @@
-"""Packets of the servo buses on the board: Dynamixel Protocol 1.0, which Feetech STS servos use too, and Protocol 2.0.
+"""Packets of the servo buses on the board: Dynamixel Protocol 1.0, which Feetech STS servos use too, 2.0, and LewanSoul.
 
-Sources and details are in `sextant.shared.servo.dynamixel` and `dynamixel2`; tests compare the two byte for byte.
+Sources and details are in `sextant.shared.servo.dynamixel`, `dynamixel2` and `lx16a`; tests compare the two byte for byte.
 """
 
 BROADCAST_ID = 0xFE
 _PING, _READ, _WRITE, _REBOOT, _STATUS, _SYNC_WRITE = 1, 2, 3, 8, 0x55, 0x83
+_ID_READ = 14  # of a LewanSoul servo
+# Parameters [bytes] of the answers to its commands that read, and of its commands that write.
+READS = {2: 4, 8: 4, 14: 1, 19: 1, 21: 4, 23: 4, 25: 1, 26: 1, 27: 2, 28: 2, 30: 4, 32: 1, 34: 1, 36: 1}
+WRITES = {1: 4, 7: 4, 13: 1, 17: 1, 20: 4, 22: 4, 24: 1, 29: 4, 31: 1, 33: 1, 35: 1}
 _STUFFED = b"\xff\xff\xfd"
 
 
@@ -34,11 +38,12 @@ class Protocol1:
 
     HEADER = b"\xff\xff"
     OVERHEAD = 6  # bytes of an answer besides its parameters
+    COUNTED = 2  # bytes besides the parameters that the length counts
     PING_SIZE = 0  # [bytes] of parameters in the answer to a ping
 
     def encode(self, servo_id: int, code: int, parameters: bytes) -> bytes:
         """Encode a packet."""
-        body = bytes((servo_id, len(parameters) + 2, code)) + parameters
+        body = bytes((servo_id, len(parameters) + self.COUNTED, code)) + parameters
         return self.HEADER + body + bytes((~sum(body) & 0xFF,))
 
     def number(self, value: int) -> bytes:
@@ -62,6 +67,10 @@ class Protocol1:
         if sum(data[2:size]) & 0xFF != 0xFF:
             return 1, True, None
         return size, False, (data[2], data[4], data[5 : size - 1])
+
+    def answer_code(self, request: bytes) -> int:
+        """Return the code of the right answer to a request, -1 for any."""
+        return -1
 
     def ping(self, servo_id: int) -> bytes:
         """Encode a ping of a servo."""
@@ -124,6 +133,46 @@ class Protocol2(Protocol1):
     def reboot(self, servo_id: int) -> bytes:
         """Encode a reboot of a servo."""
         return self.encode(servo_id, _REBOOT, b"")
+
+
+class LewanSoul(Protocol1):
+    """Commands of LewanSoul servos: 55 55 id length command parameters checksum. Only commands that read are answered.
+
+    An address is a command here, and the error of an answer is its command.
+    """
+
+    HEADER = b"\x55\x55"
+    COUNTED = 3
+    PING_SIZE = 1
+
+    def next_packet(self, data: bytes, max_parameters: int) -> tuple:
+        """Find the first answer after a header; see `Protocol1.next_packet`."""
+        if len(data) < 5:
+            return 0, False, None
+        size = data[3] + 3
+        if data[2] > BROADCAST_ID or data[3] != READS.get(data[4], -1) + 3:
+            return 1, True, None
+        if len(data) < size:
+            return 0, False, None
+        if sum(data[2:size]) & 0xFF != 0xFF:
+            return 1, True, None
+        return size, False, (data[2], data[4], data[5 : size - 1])
+
+    def answer_code(self, request: bytes) -> int:
+        """Return the command of a request."""
+        return request[4]
+
+    def ping(self, servo_id: int) -> bytes:
+        """Encode a read of the id of a servo."""
+        return self.encode(servo_id, _ID_READ, b"")
+
+    def read(self, servo_id: int, address: int, size: int) -> bytes:
+        """Encode a command that reads."""
+        return self.encode(servo_id, address, b"")
+
+    def write(self, servo_id: int, address: int, data: bytes) -> bytes:
+        """Encode a command that writes."""
+        return self.encode(servo_id, address, data)
 
 
 class Parser:

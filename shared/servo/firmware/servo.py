@@ -6,7 +6,7 @@ All numbers are integers, because boards have floats of single precision or none
 import struct
 
 from .models import LAYOUTS, MODELS
-from .packets import Protocol1, Protocol2
+from .packets import LewanSoul, Protocol1, Protocol2
 from .wire import SIGNED_MAX
 
 SCALE_BITS = 14  # a unit is a whole number of 2^-14 wire units: products then fit the 31 bits of MicroPython's small integers
@@ -15,6 +15,7 @@ _HALF = _ONE >> 1
 _COMPLEMENT = -1  # coding of negative numbers; otherwise 0 for none, or the bit of the sign
 _IMPOSSIBLE = 0x3FFF_FFFF  # [ticks]
 _CODES = {1: "B", 2: "H", 4: "I"}
+_PROTOCOLS = {1: Protocol1, 2: Protocol2, 3: LewanSoul}
 
 
 def to_wire(value: int, unit: int) -> int:
@@ -42,7 +43,8 @@ class ServoModel:
         self._errors: tuple
         self._hardware_errors: tuple
         protocol, self.size, errors, hardware, torque, limit, goals, state, adopted, units = LAYOUTS[MODELS[name]]
-        self.protocol = Protocol2() if protocol == 2 else Protocol1()
+        self.protocol = _PROTOCOLS[protocol]()
+        self.has_commands = protocol == 3  # instead of registers: each value has its own request
         self.known_errors, self._errors = errors  # bits of an answer's error, and the errors that they mean
         self.hardware_address, self._hardware_errors, self.alert = hardware
         self.torque_enable = torque
@@ -51,7 +53,8 @@ class ServoModel:
         self.state_address, self.state_size, measured = state
         self.adopted_address, self.adopted_size, kept = adopted
         self._state, self._adopted = _Block(measured), _Block(kept)
-        self._centre, self._max_position, self._angle_unit, self._speed_unit, self._load_unit, self._volt_unit = units
+        self._centre, self._max_position, self._overrun, self._angle_unit = units[:4]
+        self._speed_unit, self._load_unit, self._volt_unit = units[4:]
 
     def errors(self, code: int) -> int:
         """Return the errors that an answer reports."""
@@ -73,10 +76,23 @@ class ServoModel:
         position = self.angle(position)
         speed = to_wire(speed, self._speed_unit)
         load = to_wire(load, self._load_unit)
-        voltage = to_wire(voltage, self._volt_unit)
+        voltage = self.voltage(voltage)
         if max(abs(position), abs(speed), abs(load)) > SIGNED_MAX or voltage > 0xFF:
             return None
         return position, speed, load, voltage, temperature
+
+    def position(self, data: bytes) -> int | None:
+        """Return the angle [0.1 mrad] in the answer of a servo with commands; None if no servo has it."""
+        (ticks,) = self._state.unpack(data)
+        return self.angle(ticks) if -self._overrun <= ticks <= self._max_position + self._overrun else None
+
+    def voltage(self, ticks: int) -> int:
+        """Return the voltage [0.1 V] in a register."""
+        return to_wire(ticks, self._volt_unit)
+
+    def spring_load(self, error: int) -> int:
+        """Return the load [0.1 %] of a position controller by its error [0.1 mrad], of servos with commands."""
+        return to_wire(error, self._load_unit)
 
     def adopted(self, data: bytes) -> tuple:
         """Return torque enable, and the angles of goal and position [0.1 mrad]; None for a position that no servo has."""
@@ -86,7 +102,10 @@ class ServoModel:
         return bool(torque), self.angle(min(max(goal, 0), self._max_position)), self.angle(position)
 
     def goal(self, angle: int, speed: int) -> bytes:
-        """Encode goal position and speed of an angle [0.1 mrad] and a speed [1 mrad/s], which is 0 for no limit."""
+        """Encode goal position and speed of an angle [0.1 mrad] and a speed [1 mrad/s], which is 0 for no limit.
+
+        Servos with commands have a time [ms] in place of the speed.
+        """
         row = bytearray(self.goals_size)
         ticks = min(max(to_ticks(angle, self._angle_unit) + self._centre, 0), self._max_position)
         at, size = self._goal

@@ -23,7 +23,7 @@ LOAD = 1e-3  # [1] of the stall torque, unit of loads and torque limits
 VOLT = 0.1  # [V] unit of voltages
 SIGNED_MAX = 0x7FFF  # largest magnitude of a position, speed or load
 
-HELLO, GOALS, TORQUE, LIMITS, ASK = 1, 2, 3, 4, 5
+HELLO, GOALS, TORQUE, LIMITS, ASK, FIRST = 1, 2, 3, 4, 5, 6
 WELCOME, STATE, ANSWER = 129, 130, 131
 WAITING, ADOPTING, OFF, ON, HOLDING, CATCHING_UP = 0, 1, 2, 3, 4, 5
 NONE, SESSION, ORDER, AGE, COUNT, NO_GOALS, FAR, QUESTION, BUSY, OTHER_VERSION = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
@@ -40,6 +40,7 @@ _FIELDS = {
     TORQUE: _HEAD + ((0, 1),),
     LIMITS: _HEAD + (("H", 2 * MAX_SERVOS),),
     ASK: _HEAD + ((0, MAX_ID), _U8, _U16, (0, MAX_TABLE), ("bytes", MAX_TABLE)),
+    FIRST: _HEAD + (("ids", MAX_SERVOS),),
 }
 
 

@@ -1,7 +1,7 @@
 """Replay recorded turns of the firmware, under MicroPython or CPython, and compare every byte.
 
-Each line of the record has a boot (B, boot number, counter, servo, echo) or a turn (T, counter, and in hex the bytes from the
-host, from the servos, to the host and to the servos).
+Each line of the record has a boot (B, boot number, counter, servo, echo, baud rate) or a turn (T, counter, and in hex the bytes
+from the host, from the servos, to the host and to the servos).
 """
 
 import sys
@@ -19,10 +19,10 @@ def ticks_diff(new, old):  # type: ignore[no-untyped-def]
 class Settings:
     """Settings of config.py, with a UART to the host."""
 
-    def __init__(self, servo, echo):  # type: ignore[no-untyped-def]
+    def __init__(self, servo, echo, rate):  # type: ignore[no-untyped-def]
         for name in dir(config):
             setattr(self, name, getattr(config, name))
-        self.SERVO, self.ECHO, self.DIRECTION = servo, echo, None if echo else 6
+        self.SERVO, self.BAUD_RATE, self.ECHO, self.DIRECTION = servo, rate, echo, None if echo else 6
         self.HOST_UART, self.HOST_TX, self.HOST_RX = 0, 0, 1
 
 
@@ -37,7 +37,7 @@ def replay(path):  # type: ignore[no-untyped-def]
             boots += 1
             counter[0] = int(words[2])
             clock = board.Clock(lambda: counter[0], ticks_diff)
-            settings = Settings(words[3], words[4] == "1")
+            settings = Settings(words[3], words[4] == "1", int(words[5]))
             bus, host = board.open_bus(machine, settings), board.open_host(machine, settings, None)
             servos, computer = bus._uart, host._uart
             servos.pin = bus._direction

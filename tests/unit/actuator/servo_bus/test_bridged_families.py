@@ -12,10 +12,11 @@ from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo.bridge_protocol import Instruction, Mode
-from sextant.shared.servo.models import AX_12A, MX_28, STS3215, XL430_W250, XM430_W350
+from sextant.shared.servo.models import AX_12A, LX_16A, MX_28, STS3215, XL430_W250, XM430_W350
 from sextant.shared.servo.servo_model import Register, ServoError, ServoModel
 
-EACH = pytest.mark.parametrize("model", [AX_12A, MX_28, STS3215, XL430_W250, XM430_W350], ids=lambda model: model.name)
+MODELS = (AX_12A, MX_28, STS3215, XL430_W250, XM430_W350)
+EACH = pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 IDS = (3, 1, 2)
 PERIOD_NS = 20_000_000
 
@@ -28,8 +29,8 @@ class Rig:
         self.model, self.table = model, model.table
         self.bank = ServoBank(IDS, model)
         for row in range(3):
-            self.put(row, model.table.baud_rate, model.rate_code(1_000_000))
-        self.board = Board(ServoBusEmulator(self.bank, BusTiming(usb_transaction_ns=0)), model=model)
+            self.put(row, model.table.baud_rate, model.rate_code(model.bus_rate))
+        self.board = Board(ServoBusEmulator(self.bank, BusTiming(model.bus_rate, 0)), model=model)
         self.port = MemoryPort(self.board, lambda: self.now_ns, READ_NS * 1e-9)
         self.driver = Bridge(self.port, IDS, self.port.now_ns, model=model)
         self.q, self.load = np.zeros(3), np.zeros(3)
@@ -92,7 +93,7 @@ def test_readings_goals_and_torque_pass_the_bridge(model: ServoModel) -> None:
     assert rig.driver.lost["bridge: garbled packet"] == 0
 
 
-@EACH
+@pytest.mark.parametrize("model", [*MODELS, LX_16A], ids=lambda model: model.name)
 def test_board_with_other_servos_is_refused_with_both_names(model: ServoModel) -> None:
     rig = Rig(model)
     other = STS3215 if model is AX_12A else AX_12A

@@ -5,14 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from sextant.services.actuator.config import Settings
 from sextant.services.actuator.safety.health_monitor import SILENT
-from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
 from sextant.services.actuator.servo_bus.bus_scan import call, problems, scan_servo
 from sextant.services.actuator.servo_bus.command_bus import CommandBus, bus_of
-from sextant.services.actuator.servo_bus.servo_interface import on_port
 from sextant.services.simulator.servo_bus.host_link import Reply
-from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import lx16a
 from sextant.shared.servo.lx16a import Command
 from sextant.shared.servo.models import AX_12A, LX_16A, MODELS
@@ -264,8 +260,3 @@ def test_late_answer_to_another_command_is_not_taken() -> None:
     legs.emulator.receive = replace  # type: ignore[method-assign]
     assert legs.bus.poll(_BUDGET_NS) == []
     assert legs.bus.lost["answer from another servo"] > 0
-
-
-def test_bridge_to_these_servos_is_refused() -> None:
-    with pytest.raises(BusSetupError, match="a bridge to servos with registers expected, found HX-35H"):
-        on_port(load_profile("jethexa_hx35h"), Settings(bridge=True), _Legs(1).port, lambda: 0)

@@ -16,8 +16,9 @@ from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_fields import Choice, Kind, Octets, Text, Whole, Words
 from sextant.shared.servo.bridge_protocol import FROM_HOST, MESSAGES, TO_HOST, Message, Receiver, RemoteClock
+from sextant.shared.servo.firmware import commands
 from sextant.shared.servo.firmware.framing import frame
-from sextant.shared.servo.models import AX_12A, STS3215, XL430_W250
+from sextant.shared.servo.models import AX_12A, LX_16A, STS3215, XL430_W250
 from sextant.shared.wire.codec import DecodeError, pack_values
 
 WILD = settings(deadline=None, derandomize=True, max_examples=150)
@@ -214,6 +215,21 @@ def test_documented_times_match_frames() -> None:
         sizes |= {f"{model.name}: goals": goals, f"{model.name}: one reading": reading, f"{model.name}: a cycle": cycle}
     for name, size in sizes.items():
         assert f"| {name} | {size} | {size * dxl.BITS_PER_BYTE * 1e-3:.2f} ms |" in DOCUMENT
+
+
+def test_documented_times_of_commands_match_what_the_firmware_writes_and_reads() -> None:
+    bus, table = LX_16A.protocol, LX_16A.table
+    position = table.present_position
+    goal = len(bus.write(1, table.goal_position.address, bytes(4)))
+    reading = len(bus.read(1, position.address, position.size)) + bus.OVERHEAD + position.size
+    sizes = {"one goal": goal, "one reading": reading, "18 goals and readings": N * (goal + reading)}
+    byte_ms = dxl.BITS_PER_BYTE * 1e3 / LX_16A.bus_rate
+    for named in (0, 3, 6):
+        reads = named + commands.IN_TURN
+        goals = int((commands.GOALS_US * 1e-3 - reads * (reading * byte_ms + 0.1)) / (goal * byte_ms))
+        sizes[f"{goals} goals, {reads} readings"] = goals * goal + reads * reading
+    for name, size in sizes.items():
+        assert f"| LX-16A: {name} | {size} | {size * byte_ms:.2f} ms |" in DOCUMENT
 
 
 # -------------------------------------------------------------------------------------------------------------- times

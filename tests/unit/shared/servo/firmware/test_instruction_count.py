@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from sextant.shared.servo.firmware import board
-from sextant.shared.servo.models import AX_12A, STS3215, XL430_W250
+from sextant.shared.servo.models import AX_12A, LX_16A, STS3215, XL430_W250
 from sextant.shared.servo.servo_model import ServoModel
 from tests.support.firmware_rig import FirmwareRig
 
@@ -54,14 +54,15 @@ def count(model: ServoModel, monkeypatch: pytest.MonkeyPatch) -> tuple[float, fl
     monkeypatch.setattr(uart, "txdone", lambda self: True)
     monkeypatch.setattr(board, "turn", counted_turn)
     began_ns = rig.now_ns
-    rig.cycle(CYCLES, 0.02)
+    for k in range(CYCLES):
+        rig.cycle(1, 0.02 * k)
     cycles = (rig.now_ns - began_ns) / 20e6
     return sum(found["reading"]) / len(found["reading"]), sum(map(sum, found.values())) / cycles
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="the page counts the bytecodes of CPython 3.11")
-@pytest.mark.parametrize("model", [AX_12A, STS3215, XL430_W250], ids=lambda model: model.name)
+@pytest.mark.parametrize("model", [AX_12A, STS3215, XL430_W250, LX_16A], ids=lambda model: model.name)
 def test_page_states_instruction_counts(model: ServoModel, monkeypatch: pytest.MonkeyPatch) -> None:
     row = re.search(rf"^\| {model.name} \| ([\d,]+) \| ([\d,]+) \|", PAGE, re.MULTILINE)
     assert row is not None
