@@ -237,6 +237,12 @@ class Report:
     deviation: dict[str, Any] = field(default_factory=dict)
     plugins: dict[str, str] = field(default_factory=dict)  # planner, foothold and registration in place of Sextant's own
 
+    @property
+    def manner(self) -> str:
+        """Gait of the walk, and what else was chosen for it: no map, plug-ins."""
+        named = (f"{kind} {name}" for kind, name in self.plugins.items())
+        return ", ".join((self.gait, *["blind"] * self.blind, *named))
+
 
 def without_timing(report: Report) -> Report:
     """Return the part of a report that the seed determines."""

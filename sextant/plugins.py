@@ -7,6 +7,7 @@ steps, `--registration` the registration of depth frames. `examples/plugin` is a
 from sextant.shared.plugins.foothold_rule import ElevationMap, FootholdRule
 from sextant.shared.plugins.registration import Frame, NoPose, Pose, Registration
 from sextant.shared.plugins.step_planner import NoStep, Step, StepPlanner, StepRequest
+from sextant.shared.robot.kinematics import reaches
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.wire.messages import TerrainMap
 
@@ -23,4 +24,5 @@ __all__ = [
     "StepPlanner",
     "StepRequest",
     "TerrainMap",
+    "reaches",
 ]

@@ -6,7 +6,6 @@ Services do not import each other, so nothing else keeps these pairs in step.
 import pytest
 
 from sextant.evaluation.video import sinking
-from sextant.services.actuator.config import SHORTEST_STEP_S
 from sextant.services.actuator.config import Settings as ActuatorSettings
 from sextant.services.actuator.locomotion import swing_trajectory
 from sextant.services.actuator.safety import plan_validation
@@ -25,6 +24,7 @@ from sextant.services.planner.locomotion import plan_tracking
 from sextant.services.planner.locomotion.gait import GAITS
 from sextant.services.planner.locomotion.swing_clearance import LEVEL
 from sextant.services.simulator.physics import world
+from sextant.shared.robot.profile import LONGEST_STEP_S, SHORTEST_STEP_S
 from sextant.shared.robot.profiles import load_profile, profile_names
 
 ACTUATOR, MAPPER, PERCEPTION, PLANNER = ActuatorSettings(), MapperSettings(), PerceptionSettings(), PlannerSettings()
@@ -33,11 +33,10 @@ ACTUATOR, MAPPER, PERCEPTION, PLANNER = ActuatorSettings(), MapperSettings(), Pe
 @pytest.mark.parametrize("robot", profile_names())
 def test_guard_admits_the_steps_that_a_profile_asks_for(robot: str) -> None:
     stance = load_profile(robot).stance
-    low, high = plan_validation.DURATION
+    low, high = SHORTEST_STEP_S, LONGEST_STEP_S
     assert all(low <= stance.step_s * gait.pace <= high for gait in GAITS.values())
     assert low <= PLANNER.blind_walking.step_s <= high
     assert low <= PLANNER.step.shift_s <= high
-    assert low == SHORTEST_STEP_S
 
 
 def test_feet_stand_in_a_planned_step_as_long_as_the_actuator_takes() -> None:

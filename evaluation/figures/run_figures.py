@@ -437,6 +437,5 @@ def _title(run: RecordedRun, named: bool = False) -> str:
     r = run.report
     if run.own_words:
         return f"{run.name}, {r.robot}: {r.reason}"
-    plugins = "".join(f", {kind} {name}" for kind, name in run.numbers.get("plugins", {}).items())
-    what = f"{r.scenario}, seed {r.seed}, {r.robot}, {r.gait}{', blind' * r.blind}{plugins}"
+    what = f"{r.scenario}, seed {r.seed}, {r.robot}, {replace(r, plugins=run.numbers.get('plugins', {})).manner}"
     return f"{run.name}: " * named + what + f": {r.reason}"[:110]

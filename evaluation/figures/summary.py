@@ -131,8 +131,8 @@ def verdict(report: Report, trace: Trace, moment: FailureMoment | None, most: in
         found += [(line, 13.0, "#222222") for line in textwrap.wrap(words, 142, max_lines=2, placeholder=" …")]
     if moment is not None and (words := _whose(trace, moment)):
         found.append((words, 13.0, "#222222"))
-    gait = steps_walked(trace) if trace.sections else report.gait  # a gap crossing has its own steps
-    walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {gait}" + (" · blind" if report.blind else "")
+    own = replace(report, gait=steps_walked(trace)) if trace.sections else report  # a gap crossing has its own steps
+    walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {own.manner}"
     found.append((walk, float(_FONT), "#5f6368"))
     return found
 

@@ -46,7 +46,7 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
         ratios = (1.0, 1.0, 0.9, 1.5, 0.9) if published is None else (1.0, 1.0, 0.9, 1.5, 0.9, 0.9)
         figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
         height, tilt, foot, above, aside, *below = figure.subplots(len(ratios), 1, height_ratios=ratios).tolist()
-        walk = f"{report.scenario}, seed {report.seed}, {report.robot}, {report.gait}" + (", blind" if report.blind else "")
+        walk = f"{report.scenario}, seed {report.seed}, {report.robot}, {report.manner}"
         figure.suptitle(f"{walk}: {report.reason}", size=15)
         draw_height(height, trace)
         draw_tilt(tilt, trace)

@@ -34,6 +34,7 @@ from sextant.services.planner.service import Planner
 from sextant.services.simulator.config import Settings as SimulatorSettings
 from sextant.services.simulator.service import Simulator
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
+from sextant.shared.errors import SextantError
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
 from sextant.shared.files.whole_files import WriteError
@@ -269,8 +270,8 @@ def _recorder(
 def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> str:
     """Run to the end; return what ended it other than the scorer, or nothing.
 
-    An exception in a service ends this run, as a crash of its process would end a live one. The traceback goes to the log and
-    to the run's folder.
+    An exception in a service ends this run, as a crash of its process would end a live one. The traceback goes to the run's
+    folder, and to the log unless the exception says all.
     """
     # The scorer ends the run at the time limit. Twice that limit covers a robot that never came up.
     limit_ns = round(2e9 * run.scenario.time_limit_s)
@@ -281,7 +282,7 @@ def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> s
             run.run(run.now_ns() + _LOOK_NS)
         except ServiceFailedError as error:
             text = "".join(traceback.format_exception(error.__cause__))
-            _log.error("%s\n%s", error, text)
+            _log.error("%s%s", error, "" if isinstance(error.__cause__, SextantError) else f"\n{text}")
             if out is not None:
                 with contextlib.suppress(WriteError):  # in the log already
                     whole_files.write_text(out / CRASH, text)

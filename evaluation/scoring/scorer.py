@@ -40,6 +40,7 @@ FALL_TILT_DEG = 35.0  # [deg]
 _FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
 _CLEARANCE = 0.005  # [m] a body underside closer to the ground than this counts as a fall
 _ON_GROUND = "the body touched the ground"
+_STOPPED_S = 10.0  # [s] before the time limit, in which what stopped the robot is why it did not arrive
 _REST_NS = 500_000_000  # [ns] the body is at rest after it has not moved for this time
 _WAY_S = 0.5  # [s] between places whose distances are the length of a way
 _REST_MOTION = 0.003  # [m] motion below which the body counts as not moving
@@ -226,8 +227,9 @@ class Scorer:
         if goal.expect != "arrival" and self._heard.refusal and at_rest:
             return f"stood and reported why: {self._heard.refusal}"
         if (now - self._heard.begin_ns) * 1e-9 >= self._scenario.time_limit_s:
-            late = f"time limit of {self._scenario.time_limit_s:g} s, {self._progress} done"
-            return f"{reason}; {late}" if (reason := last_reason(self._heard)) else late
+            limit_s = self._scenario.time_limit_s
+            late = f"time limit of {limit_s:g} s, {self._progress} done"
+            return f"{reason}; {late}" if (reason := last_reason(self._heard, limit_s - _STOPPED_S)) else late
         return ""
 
     def _rests(self, now: int, x: float, y: float) -> bool:

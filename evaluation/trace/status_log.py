@@ -79,16 +79,17 @@ def complaints(heard: RunLog) -> tuple[StatusEvent, ...]:
     return tuple(sorted(said, key=lambda c: c.begin))
 
 
-def last_reason(heard: RunLog) -> str:
-    """Return the service that stopped the walk last, with its reason, or "".
+def last_reason(heard: RunLog, since_s: float) -> str:
+    """Return the service that stopped the walk last, `since_s` [s] or later, with its reason, or "".
 
     The service is the planner or the actuator: the one with the newest complaint.
     """
-    found = [c for c in complaints(heard) if c.who != "perception"]
+    found = [c for c in complaints(heard) if c.who != "perception" and c.end >= since_s]
     if not found:
         return ""
     last = max(found, key=lambda complaint: complaint.end)
-    return f"{last.who}, {last.begin:.0f} to {last.end:.0f} s: {last.words}"
+    begin, end = f"{last.begin:.0f}", f"{last.end:.0f}"
+    return f"{last.who}, {f'at {end}' if begin == end else f'{begin} to {end}'} s: {last.words}"
 
 
 def _seconds(heard: RunLog, stamp_ns: int) -> float:

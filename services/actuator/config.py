@@ -10,8 +10,7 @@ from sextant.services.actuator.locomotion.params import PostureParams
 from sextant.shared.files import config
 from sextant.shared.files.config import ranged
 from sextant.shared.params import Params
-
-SHORTEST_STEP_S = 0.3  # [s] shorter steps are refused
+from sextant.shared.robot.profile import SHORTEST_STEP_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,6 @@ from sextant.services.actuator.locomotion.stand_sit import ground_relief
 from sextant.services.actuator.safety.command_ordering import in_turn
 from sextant.services.actuator.safety.guard import Act, Guard, Stance, Walk
 from sextant.services.actuator.safety.health_monitor import GAP_S, Health, Verdict
-from sextant.services.actuator.safety.plan_validation import reaches
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.actuator.safety.torque_off_state import TorqueOffState
 from sextant.services.actuator.safety.walk_authorization import WalkAuthorization
@@ -27,6 +26,7 @@ from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.services.actuator.servo_bus.servo_interface import Opener, Openers
 from sextant.services.actuator.state_report import StateReport
 from sextant.shared.geometry import Array
+from sextant.shared.robot.kinematics import reaches
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.lateness import BEAT
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
@@ -267,7 +267,7 @@ class Actuator:
                 case Act.LIE_DOWN:
                     self._motion.lie_down()
                 case Act.SET_DOWN:
-                    self._motion.executor.set_down(lambda feet: reaches(self._profile, feet))
+                    self._motion.executor.set_down(lambda feet: bool(reaches(self._profile, feet).all()))
                 case Act.FREEZE:
                     self._motion.freeze()
 

@@ -9,13 +9,21 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElevationMap:
-    """Ground around the robot; cell (i, j) is centred at origin + resolution * (i, j). The arrays are read-only."""
+    """Ground around the robot; cell (i, j) is centred at origin + resolution * (i, j). The arrays are read-only.
 
-    elevation: NDArray[np.float32]  # (nx, ny) [m] {world}, NaN where never seen
-    variance: NDArray[np.float32]  # (nx, ny) [m^2] of elevation, NaN where never seen
-    origin: NDArray[np.float64]  # (2,) [m] {world} centre of cell (0, 0)
-    resolution: float  # [m] cell edge
-    foot_radius: float  # [m] of the robot
+    Attributes:
+        elevation: (nx, ny) [m] {world}, NaN where never seen.
+        variance: (nx, ny) [m^2] of elevation, NaN where never seen.
+        origin: (2,) [m] {world} centre of cell (0, 0).
+        resolution: [m] cell edge.
+        foot_radius: [m] of the robot.
+    """
+
+    elevation: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    origin: NDArray[np.float64]
+    resolution: float
+    foot_radius: float
 
 
 class FootholdRule(Protocol):

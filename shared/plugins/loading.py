@@ -19,6 +19,8 @@ Kind = Literal["planner", "foothold", "registration"]
 KINDS: tuple[Kind, ...] = ("planner", "foothold", "registration")
 R = TypeVar("R")
 
+_METHODS: dict[Kind, str] = {"planner": "plan", "foothold": "__call__", "registration": "register"}
+
 _OBJECT = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 
@@ -129,10 +131,18 @@ class Plugin:
         found = load(kind, name)
         if kind == "foothold" and not isinstance(found, type):
             return cls(name, found)
-        return cls(name, cls(name, found).call(lambda make: make(profile)))
+        made = cls(name, found).call(lambda make: make(profile), "when it was called with the robot's profile")
+        method = _METHODS[kind]
+        if not callable(getattr(made, method, None)):
+            raise PluginError(f"plug-in {name}: a {kind} with a method {method} expected, found {type(made).__name__}")
+        return cls(name, made)
 
-    def call(self, use: Callable[[Any], R]) -> R:
+    def call(self, use: Callable[[Any], R], when: str = "") -> R:
         """Return the result of using the object.
+
+        Args:
+            use: Uses it.
+            when: When that is, as text for its errors.
 
         Raises:
             PluginError: It failed.
@@ -141,7 +151,8 @@ class Plugin:
             return use(self._target)
         except Exception as error:  # its code may raise anything
             module = getattr(self._target, "__module__", None) or type(self._target).__module__
-            raise PluginError(f"plug-in {self._name} failed: {described(error, module)}") from error
+            failed = f"failed {when}" if when else "failed"
+            raise PluginError(f"plug-in {self._name} {failed}: {described(error, module)}") from error
 
 
 def described(error: Exception, module: str) -> str:

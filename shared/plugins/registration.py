@@ -13,21 +13,34 @@ _ROUNDING = 1e-3  # [1] largest error of a rotation matrix, which is then made o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A depth frame and the pose that leg odometry expects for it."""
+    """A depth frame and the pose that leg odometry expects for it.
 
-    stamp_ns: int  # [ns] capture time
-    depth: NDArray[np.float32]  # (height, width) [m] along the optical axis, 0 where there is no measurement
-    T_world_camera: Array  # (4, 4) expected pose; x right, y down, z forward
-    covariance: Array  # (6, 6) [m, rad] of its error twist (v, w) in world axes at the camera
+    Attributes:
+        stamp_ns: [ns] capture time.
+        depth: (height, width) [m] along the optical axis, 0 where there is no measurement.
+        T_world_camera: (4, 4) expected pose; x right, y down, z forward.
+        covariance: (6, 6) [m, rad] of its error twist (v, w) in world axes at the camera.
+    """
+
+    stamp_ns: int
+    depth: NDArray[np.float32]
+    T_world_camera: Array
+    covariance: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Pose of a frame."""
+    """Pose of a frame.
 
-    T_world_camera: Array  # (4, 4)
-    covariance: Array  # (6, 6) [m, rad] of its error twist (v, w) in world axes at the camera
-    overlap: float = 1.0  # [1] share of the frame that matches earlier frames
+    Attributes:
+        T_world_camera: (4, 4) pose; x right, y down, z forward.
+        covariance: (6, 6) [m, rad] of its error twist (v, w) in world axes at the camera.
+        overlap: [1] share of the frame that matches earlier frames.
+    """
+
+    T_world_camera: Array
+    covariance: Array
+    overlap: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

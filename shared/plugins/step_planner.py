@@ -11,28 +11,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array, is_rigid, orthonormal
+from sextant.shared.robot.profile import LONGEST_STEP_S, SHORTEST_STEP_S
 from sextant.shared.wire.messages import TerrainMap
 
-_LONGEST_S = 20.0  # [s] maximum duration of a step
 _ROUNDING = 1e-3  # [1] largest error of a rotation matrix, which is then made orthonormal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepRequest:
-    """The robot at the start of a step, all feet standing, and the motion that is wanted."""
+    """The robot at the start of a step, all feet standing, and the motion that is wanted.
 
-    T_world_body: Array  # (4, 4) body pose, the reference that the legs follow
-    feet: Array  # (6, 3) [m] {world} foot centres
-    due: tuple[NDArray[np.bool_], ...]  # (6,) groups of legs of the gait, the one that should swing first comes first
-    velocity: Array  # (2,) [m/s] {body} as commanded, which may be faster than the legs can
-    yaw_rate: float  # [rad/s]
-    body_height: float  # [m] of the body's origin above the ground
-    lift: float  # [m] minimum height of a swinging foot over both ends of its swing, on level ground
-    step_s: float  # [s] duration of a step in the gait
-    stances: int  # number of steps for which a foot stands, in the gait
+    The planner asks for the same step with each new map until the step begins. The robot walks the last answer. Legs are in the
+    order left front, right front, right middle, right rear, left rear, left middle.
+
+    Attributes:
+        T_world_body: (4, 4) body pose, the reference that the legs follow.
+        feet: (6, 3) [m] {world} foot centres.
+        due: (6,) groups of legs of the gait, the one that should swing first comes first. Other legs may swing, too.
+        velocity: (2,) [m/s] {body} as commanded, which may be faster than the legs can.
+        yaw_rate: [rad/s] as commanded.
+        body_height: [m] of the body's origin above the ground.
+        lift: [m] minimum height of a swinging foot over both ends of its swing, on level ground.
+        step_s: [s] duration of a step in the gait. A step may take longer.
+        stances: Number of steps for which a foot stands, in the gait.
+        map: Elevation and score of footholds.
+        refused: Number of plans for this step that the actuator has refused, at most 8. After 8 the planner pauses for two
+            seconds, and the count is 0 again. The actuator may refuse the first plan because it is late, and accept it later.
+        refusal: Reason of the last refusal.
+        step: Number of the step.
+    """
+
+    T_world_body: Array
+    feet: Array
+    due: tuple[NDArray[np.bool_], ...]
+    velocity: Array
+    yaw_rate: float
+    body_height: float
+    lift: float
+    step_s: float
+    stances: int
     map: TerrainMap
-    refused: int = 0  # number of plans for this step that the actuator has refused
-    refusal: str = ""  # reason of the last refusal
+    refused: int = 0
+    refusal: str = ""
+    step: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,23 +62,34 @@ class Step:
 
     Standing legs must reach the body's pose at the end. So a step from rest must be shorter than the others, and so should be
     the one after a refusal.
+
+    Attributes:
+        swing: (6,) legs that swing; the other three or more stand.
+        touchdown: (6, 3) [m] {world} foot centres at the end; those of standing legs do not matter.
+        T_world_body: (4, 4) body pose at the end.
+        clearance: (6,) [m] height of a swinging foot over both ends of its swing. A foot that swings over a block needs the
+            height of the block, too.
+        duration_s: [s] of the step.
     """
 
-    swing: NDArray[np.bool_]  # (6,) legs that swing
-    touchdown: Array  # (6, 3) [m] {world} foot centres at the end; those of standing legs do not matter
-    T_world_body: Array  # (4, 4) body pose at the end
-    # (6,) [m] height of a swinging foot over both ends of its swing. What lies between them is not added: a foot that swings
-    # over a block needs the height of the block, too.
+    swing: NDArray[np.bool_]
+    touchdown: Array
+    T_world_body: Array
     clearance: Array
     duration_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class NoStep:
-    """Reason why there is no step."""
+    """Reason why there is no step.
+
+    Attributes:
+        reason: For the operator and the report.
+        leg: Index of the leg that has no foothold, -1 for the whole robot.
+    """
 
     reason: str
-    leg: int = -1  # index of the leg that has no foothold, -1 for the whole robot
+    leg: int = -1
 
 
 class StepPlanner(Protocol):
@@ -100,6 +132,6 @@ def checked_step(step: object, request: StepRequest) -> Step | NoStep:
     T = np.array(step.T_world_body, dtype=np.float64)
     if not is_rigid(T, _ROUNDING):
         raise ValueError(f"a rigid transform as T_world_body expected, found {T.tolist()}")
-    if not 0.0 < step.duration_s <= _LONGEST_S:
-        raise ValueError(f"a duration_s of more than 0 and at most {_LONGEST_S:g} s expected, found {step.duration_s}")
+    if not SHORTEST_STEP_S <= step.duration_s <= LONGEST_STEP_S:
+        raise ValueError(f"a duration_s of {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g} s expected, found {step.duration_s}")
     return Step(swing, touchdown, orthonormal(T), np.array(step.clearance, dtype=np.float64), float(step.duration_s))

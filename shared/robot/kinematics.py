@@ -303,6 +303,15 @@ def within_limits(profile: RobotProfile, q: Array) -> NDArray[np.bool_]:
     return np.asarray((q >= limits[..., 0]) & (q <= limits[..., 1]))
 
 
+def reaches(profile: RobotProfile, feet_body: Array) -> NDArray[np.bool_]:
+    """Return which legs (..., 6) reach feet (..., 6, 3) [m] {body} within joint limits.
+
+    Raises:
+        ValueError: The last axes are not (6, 3).
+    """
+    return np.asarray(within_limits(profile, body_inverse(profile, feet_body)).all(axis=-1))
+
+
 def joint_torques(profile: RobotProfile, q: Array, forces_body: Array) -> Array:
     """Compute the static motor torques from ground forces.
 

@@ -29,6 +29,8 @@ from sextant.shared.servo.servo_model import ServoModel
 LEGS, JOINTS = joint_names.LEGS, joint_names.JOINTS
 GRAVITY = 9.81  # [m/s^2]
 # Limits of any step, which the actuator verifies:
+SHORTEST_STEP_S, LONGEST_STEP_S = 0.3, 4.0  # [s]
+MAX_TILT_DEG, MAX_TURN_DEG = 15.0, 25.0  # [deg] of the body in one step: roll and pitch, and yaw
 MAX_TRAVEL_M = 0.20  # [m] of the body in one step
 MAX_CLEARANCE_M = 0.12  # [m] of a swinging foot over both ends of its path
 MIN_MARGIN_M = 0.005  # [m] of the centre of mass inside the polygon of standing feet

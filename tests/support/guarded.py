@@ -185,7 +185,7 @@ BAD: dict[str, tuple[Callable[[Robot], StepPlan], str]] = {
     "too far ahead": (lambda r: r.plan(step=r.step + 2), "does not follow step 1"),
     "over": (lambda r: r.renewal(step=r.step - 1), "does not follow step 1"),
     "with other legs": (lambda r: r.renewal(swing=~r.swing), "swings other legs"),
-    "out of reach": (lambda r: r.renewal(touchdown=FEET + np.array([0.3, 0.0, 0.0])), "exceeds the reach"),
+    "out of reach": (lambda r: r.renewal(touchdown=FEET + np.array([0.3, 0.0, 0.0])), "is out of reach"),
     "without end": (lambda r: r.renewal(duration=9.0), "found 9.00 s"),
     "no pose": (lambda r: r.renewal(body_goal=2.0 * START), "not a rigid transform"),
 }

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.locomotion.step_executor import StepExecutor, Targets
-from sextant.services.actuator.safety import plan_validation
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.robot import kinematics
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.wire.messages import StepPlan
 
@@ -57,7 +57,7 @@ def new_walker() -> StepExecutor:
 
 
 def reaches(feet: Array) -> bool:
-    return plan_validation.reaches(PROFILE, feet)
+    return bool(kinematics.reaches(PROFILE, feet).all())
 
 
 def cycle(walker: StepExecutor, dt: float = DT) -> Targets:

@@ -69,7 +69,9 @@ def test_failing_plugin_ends_the_run_with_its_name(tmp_path, capsys):
     assert cli.main(["run", "flat", "--lockstep", "--seed", "1000", "--out", str(out), "--foothold", name]) == 1
     report = json.loads((out / "report.json").read_text())
     assert report["reason"].startswith(f"mapper failed: plug-in {name} failed: KeyError: 'a name' (plugins.py:")
-    assert "Traceback" not in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert "Traceback" not in told.out + told.err, "the reason says all"
+    assert "Traceback" in (out / "crash.txt").read_text(encoding="utf-8")
 
 
 def test_documented_rule_scores_slopes_and_keeps_unknown_cells(tmp_path, monkeypatch):

@@ -7,17 +7,24 @@ robot, so the actuator can always finish it alone.
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.actuator.config import SHORTEST_STEP_S
 from sextant.shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
-from sextant.shared.robot.profile import JOINTS, LEGS, MAX_CLEARANCE_M, MAX_TRAVEL_M, MIN_MARGIN_M, RobotProfile
+from sextant.shared.robot.profile import (
+    JOINTS,
+    LEGS,
+    LONGEST_STEP_S,
+    MAX_CLEARANCE_M,
+    MAX_TILT_DEG,
+    MAX_TRAVEL_M,
+    MAX_TURN_DEG,
+    MIN_MARGIN_M,
+    SHORTEST_STEP_S,
+    RobotProfile,
+)
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 from sextant.shared.wire.messages import StepPlan
 
 FURTHEST = 1e6  # [m] from the origin of {world}
-MAX_TILT = np.radians(15.0)
-MAX_TURN = np.radians(25.0)
-DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
 MEAN_SPEED = 0.9  # largest mean joint speed, as a share of the servo's top speed: a swing accelerates and decelerates
 GATHERED_S = 0.55  # [s] of a motion at that speed: acceleration takes 8 % of that time, and at least 0.04 s
 FLIES_AT = 0.8  # share of its clearance, between rise and fall
@@ -25,6 +32,7 @@ SHORTEST_LEFT_S = 0.1  # [s] minimum time in which a revision may ask for the la
 MOVED = 0.005  # [m] by which a standing leg may miss its foot in a revision, by its length or joint limits
 SAME = 1e-6  # [m] and [1] difference between poses and points of two plans for one step that is due to rounding
 STAYS = np.full(6, np.inf)  # [s]
+_BELOW, _ABOVE = ("turned right", "lowered", "bent"), ("turned left", "raised", "stretched")  # beyond the limits of a joint
 
 
 class PlanCheck:
@@ -172,9 +180,9 @@ class PlanCheck:
                 held = body_forward(self._profile, np.clip(q, limits[..., 0], limits[..., 1]))
                 bad[~plan.swing & (np.linalg.norm(held - end, axis=1) <= MOVED)] = False
         if bad.any():
-            leg, joint = np.argwhere(bad)[0]
+            leg, joint = np.argwhere(bad)[0].tolist()
             what = "touchdown" if plan.swing[leg] else "standing foot"
-            return f"the {what} of the {LEGS[leg]} leg exceeds the reach of its {JOINTS[joint]} joint"
+            return f"the {what} of the {LEGS[leg]} leg is out of reach: {_excess(self._profile, end, leg, joint)}"
         return ""
 
 
@@ -191,9 +199,17 @@ def out_of_order(plan: StepPlan, running: int, resting: bool) -> str:
     return f"plan of step {plan.step} does not follow step {running}"
 
 
-def reaches(profile: RobotProfile, feet: Array) -> bool:
-    """Return whether all legs reach feet (6, 3) [m] {body} within joint limits."""
-    return bool(within_limits(profile, body_inverse(profile, feet)).all())
+def _excess(profile: RobotProfile, feet: Array, leg: int, joint: int) -> str:
+    """Return by how much a foot, of feet (6, 3) [m] {body}, lies beyond what its leg reaches by a joint, as text."""
+    q = float(body_inverse(profile, feet)[leg, joint])
+    if np.isnan(q):  # beyond the links, not beyond a limit
+        x, y, z = apply(profile.T_coxa_body[leg], feet[leg])
+        away, links = float(np.hypot(np.hypot(x, y) - profile.links.coxa, z)), profile.links
+        over = max(away - links.femur - links.tibia, abs(links.femur - links.tibia) - away)
+        return f"{1e3 * over:.0f} mm too {'far' if away > links.femur else 'near'}"
+    low, high = profile.joint_limits[leg, joint].tolist()
+    over, how = (low - q, _BELOW[joint]) if q < low else (q - high, _ABOVE[joint])
+    return f"its {JOINTS[joint]} would be {how} {np.degrees(over):.0f} deg too far"
 
 
 def _repeats(plan: StepPlan, checked: StepPlan) -> bool:
@@ -223,13 +239,14 @@ def _malformed(plan: StepPlan) -> str:
 def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
     """Return which limit of a step the plan exceeds, or an empty string."""
     move = inverse(T_odom_body) @ inverse(plan.T_world_odom) @ plan.body_goal
-    travel, (roll, pitch, yaw) = float(np.linalg.norm(move[:3, 3])), rpy_from_rotation(move[:3, :3])
+    travel, (roll, pitch, yaw) = float(np.linalg.norm(move[:3, 3])), np.degrees(rpy_from_rotation(move[:3, :3])).tolist()
     if travel > MAX_TRAVEL_M:
         return f"the body would travel {travel:.2f} m in one step, at most {MAX_TRAVEL_M} m allowed"
-    if max(abs(roll), abs(pitch)) > MAX_TILT or abs(yaw) > MAX_TURN:
-        return f"the body would turn by {np.degrees([roll, pitch, yaw]).round(1).tolist()} deg in one step"
-    if not DURATION[0] <= plan.duration <= DURATION[1]:
-        return f"a step of {DURATION[0]} to {DURATION[1]} s expected, found {plan.duration:.2f} s"
+    if max(abs(roll), abs(pitch)) > MAX_TILT_DEG or abs(yaw) > MAX_TURN_DEG:
+        turn = f"{[round(angle, 1) + 0.0 for angle in (roll, pitch, yaw)]} deg in one step (roll, pitch, yaw)"
+        return f"the body would turn by {turn}, at most {MAX_TILT_DEG:g}, {MAX_TILT_DEG:g} and {MAX_TURN_DEG:g} deg allowed"
+    if not SHORTEST_STEP_S <= plan.duration <= LONGEST_STEP_S:
+        return f"a step of {SHORTEST_STEP_S} to {LONGEST_STEP_S} s expected, found {plan.duration:.2f} s"
     if plan.clearance.min() < 0 or plan.clearance.max() > MAX_CLEARANCE_M:
         found = f"{plan.clearance.min():.3f} to {plan.clearance.max():.3f} m"
         return f"clearances of 0 to {MAX_CLEARANCE_M} m expected, found {found}"

@@ -12,7 +12,7 @@ from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.plugins import step_planner as plugin
 from sextant.shared.plugins.loading import Plugin
-from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.wire.messages import VelocityCommand
 
 _ATTEMPTS = 8  # refused plans of one step, after which the planner gives up for a while
@@ -35,17 +35,19 @@ class PluginStepPlanner(StepPlanner):
         super().__init__(profile, settings)
         self._plugin = Plugin.make("planner", settings.step_planner, profile)
         self._refusals = refusals
+        refusals.of_plugin = True
 
     def choose(
         self, situations: list[StepStart], terrain: Terrain, refused: Set[int] = frozenset()
     ) -> tuple[PlannedStep | NoStep, int]:
         """Return the plug-in's step and the number of its attempt, or its reason for none."""
         if len(refused) >= _ATTEMPTS:
-            return NoStep(f"the actuator refused {len(refused)} steps of the plug-in"), len(refused)
+            return NoStep(self._refusals.words()), len(refused)
         request = self._request(situations, terrain)
         step = self._plugin.call(lambda planner: plugin.checked_step(planner.plan(request), request))
         if isinstance(step, plugin.NoStep):
-            return NoStep(step.reason, step.leg), len(refused)
+            leg = f"{LEGS[step.leg]} leg: " if step.leg >= 0 else ""
+            return NoStep(f"plug-in: {leg}{step.reason}", step.leg), len(refused)
         planned = PlannedStep(
             swing=step.swing,
             touchdown=step.touchdown,
@@ -93,6 +95,7 @@ class PluginStepPlanner(StepPlanner):
             step_s=self.duration(command, at.pace),
             stances=gait_of(command.gait).stances,
             map=terrain.map,
-            refused=self._refusals.count,
+            step=at.number,
+            refused=self._refusals.tries,
             refusal=self._refusals.reason,
         )

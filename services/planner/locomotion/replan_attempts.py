@@ -13,11 +13,13 @@ class RefusedSteps:
     """
 
     def __init__(self) -> None:
+        self.of_plugin = False  # whether a plug-in plans the steps
         self.forget()
 
     def forget(self) -> None:
         """Reset: no way has been refused."""
         self.count = 0
+        self.tries = 0  # number of refusals since the last one after which no way was left
         self._ways: frozenset[StepVariant] = frozenset()
         self.reason = ""  # of the last refusal
         self.given_up = False  # no way was left; cleared by `forget`, while the planner still retries from time to time
@@ -37,14 +39,17 @@ class RefusedSteps:
         After the first refusal the same way may be tried again, with newer estimates.
         """
         self.count += 1
+        self.tries += 1
         self.reason = reason
         if self.count > 1:
             self._ways |= {way}
 
     def give_up(self) -> None:
         """Note that no way is left; the next attempt may use any way."""
-        self.given_up, self._ways = True, frozenset()
+        self.given_up, self._ways, self.tries = True, frozenset(), 0
 
     def words(self) -> str:
         """Return why there is no step."""
+        if self.of_plugin:
+            return f"the actuator refuses the steps of the plug-in: {self.reason}"
         return f"the actuator refuses every feasible step: {self.reason}"

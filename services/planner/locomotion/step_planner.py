@@ -47,6 +47,7 @@ class StepStart:
     swing: NDArray[np.bool_]  # (6,) legs that will swing
     command: VelocityCommand
     pace: Pace | None = None  # of the step; None: that of the stance
+    number: int = 0  # of the step since the actuator started
 
 
 @dataclass(frozen=True, slots=True)

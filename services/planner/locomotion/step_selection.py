@@ -255,7 +255,8 @@ class StepSelector:
         along = directions(command.velocity, command.yaw_rate, rest)
         order = swing_order(gait_of(command.gait), along, apply(inverse(stance.body), stance.feet), rest)
         order = sorted(order, key=lambda swing: bool((swing & self._plans.reversed_legs).any()))  # other groups first
-        return [StepStart(stance.body, stance.feet, swing, command, pace) for swing in order]
+        number = robot.state.step + 1
+        return [StepStart(stance.body, stance.feet, swing, command, pace, number) for swing in order]
 
     def _next(
         self, robot: RobotEstimate, planned: PlannedStep, variant: StepVariant, terrain: Terrain | None, stop: bool = False

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from sextant.evaluation import report as reports
+from sextant.evaluation.trace.status_log import complaints, last_reason
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.scenario.scenario import Goal, Scenario
@@ -163,6 +164,14 @@ def test_time_limit_reason_includes_last_planner_reason(story):
     words = "no foothold for the left front leg"
     reason = story(scenario=limited, beyond=-0.2, refusal=words, tail_s=5.0).judged().result().reason
     assert re.fullmatch(rf"planner, 4 to 6 s: {words}; time limit of 6 s, 0\.\d\d of 0\.50 m done", reason)
+
+
+def test_last_reason_is_one_that_still_held_in_the_end(story):
+    words = "no foothold for the left front leg"
+    heard = story(beyond=-0.2, refusal=words, tail_s=5.0).judged()._heard
+    (complaint,) = (one for one in complaints(heard) if one.who == "planner")
+    assert last_reason(heard, complaint.end - 0.1) == f"planner, {complaint.begin:.0f} to {complaint.end:.0f} s: {words}"
+    assert last_reason(heard, complaint.end + 0.1) == ""
 
 
 def test_stop_before_goal_fails_with_given_reason(story):

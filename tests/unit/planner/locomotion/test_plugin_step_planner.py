@@ -25,7 +25,7 @@ FEET = PROFILE.rest_feet(HEIGHT) + BODY[:3, 3]
 FLAT = flat_terrain(0, np.zeros(2), 0.0)
 AHEAD = VelocityCommand(0, np.array([0.06, 0.0]), 0.01, HEIGHT, 0.04, gait="ripple")
 GROUPS = [np.arange(6) % 3 == k for k in range(3)]
-STARTS = [StepStart(BODY, FEET, swing, AHEAD) for swing in GROUPS]
+STARTS = [StepStart(BODY, FEET, swing, AHEAD, number=7) for swing in GROUPS]
 
 
 def settings(name: str) -> Settings:
@@ -48,6 +48,7 @@ def test_request_tells_robot_motion_and_due_legs(refusals):
     assert (request.yaw_rate, request.body_height, request.lift) == (0.01, HEIGHT, 0.04)
     assert (request.stances, request.refused, request.refusal) == (2, 0, "")
     assert request.map is FLAT.map
+    assert request.step == 7
 
 
 def test_step_of_the_plugin_is_taken(refusals):
@@ -68,14 +69,17 @@ def test_refusals_are_told_and_end_the_attempts(refusals):
         seen.append(planner._plugin._target.requests[-1].refused)
         refusals.add((0, attempt), "a foot is out of reach")
     assert isinstance(found, NoStep)
-    assert "refused 8 steps of the plug-in" in found.reason
+    assert found.reason == "the actuator refuses the steps of the plug-in: a foot is out of reach"
     assert seen == list(range(9))
     assert planner._plugin._target.requests[-1].refusal == "a foot is out of reach"
+    refusals.give_up()
+    planner.choose(STARTS, FLAT, refusals.of(0))
+    assert planner._plugin._target.requests[-1].refused == 0, "it is bounded"
 
 
 def test_reason_of_the_plugin_reaches_the_operator(refusals):
     found, _ = PluginStepPlanner(PROFILE, settings("Idle"), refusals).choose(STARTS, FLAT)
-    assert found == NoStep("it rests on Sundays", 3)
+    assert found == NoStep("plug-in: right rear leg: it rests on Sundays", 3)
 
 
 def test_running_step_is_not_revised(refusals):
@@ -91,7 +95,7 @@ def test_selector_uses_the_plugin_of_the_settings():
     robot = RobotEstimate(state, BodyPose(0, BODY, np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6))))
     decision = steps.select((AHEAD,), robot, FLAT)
     assert (decision.state, decision.step, decision.blocked_leg) == ("blocked", None, 3)
-    assert decision.reason == "it rests on Sundays"
+    assert decision.reason == "plug-in: right rear leg: it rests on Sundays"
 
 
 def test_unknown_plugin_ends_the_start():

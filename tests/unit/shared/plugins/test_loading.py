@@ -96,8 +96,13 @@ def test_failure_names_plugin_and_innermost_line():
 
 
 def test_failure_while_it_is_made_is_named_too():
-    with pytest.raises(PluginError, match=r"plug-in .*broken_maker failed: OSError: no licence"):
+    with pytest.raises(PluginError, match=r"broken_maker failed when it was called with the robot's profile: OSError: no"):
         Plugin.make("registration", f"{HERE}:broken_maker", PROFILE)
+
+
+def test_plugin_without_its_method_is_refused_when_it_is_made():
+    with pytest.raises(PluginError, match="a registration with a method register expected, found StandStill"):
+        Plugin.make("registration", f"{HERE}:StandStill", PROFILE)
 
 
 def test_class_of_a_rule_is_made_for_the_robot():

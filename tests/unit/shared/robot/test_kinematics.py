@@ -508,3 +508,13 @@ def test_nearest_reachable_foot_is_reachable_and_keeps_reachable_ones(seed: int)
     assert (after[inside, 2] <= np.minimum(tibia[inside, 1], 0.0) + 1e-6).all()
     within = np.isfinite(before).all(axis=1) & (before[:, 2] > tibia[:, 0] + 0.01) & (before[:, 2] < -0.2)
     np.testing.assert_array_equal(moved[within], feet[within])
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_leg_out_of_reach_is_the_one_that_does_not_reach(leg: int) -> None:
+    rest = PROFILE.rest_feet()
+    assert kinematics.reaches(PROFILE, rest).tolist() == [True] * 6
+    for way in ([0.0, 0.0, -0.3], [0.0, 0.0, 0.3], 2.0 * rest[leg]):
+        far = rest.copy()
+        far[leg] += way
+        assert kinematics.reaches(PROFILE, np.array([rest, far]))[1].tolist() == [k != leg for k in range(6)]
