@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,10 +131,23 @@ def check_depth_scale(device: str, expected: float, found: float) -> None:
     Raises:
         CameraError: They differ.
     """
-    if abs(found / expected - 1) > 1e-3:
+    if not abs(found / expected - 1) <= 1e-3:  # or NaN
         raise CameraError(
             f"{device}: a depth_scale of {expected:g} units per metre expected by the robot's profile, found {found:g}",
             f"set depth_scale = {found:g} in [camera.sensor] of the profile",
+        )
+
+
+def check_image(device: str, what: str, pixels: NDArray[Any], dtype: type[np.generic], shape: tuple[int, ...]) -> None:
+    """Check the type and the shape of an image; `what` names it.
+
+    Raises:
+        CameraError: They differ from the expected ones.
+    """
+    if pixels.dtype != dtype or pixels.shape != shape:
+        raise CameraError(
+            f"{device}: {what} of {np.dtype(dtype)} {shape} expected, found {pixels.dtype} {pixels.shape}",
+            "plug it in again, and end other programs that use it",
         )
 
 

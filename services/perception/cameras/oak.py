@@ -14,6 +14,7 @@ from sextant.services.perception.cameras.camera import (
     DeviceClock,
     Frame,
     check_depth_scale,
+    check_image,
     check_intrinsics,
     intrinsics_of,
 )
@@ -130,8 +131,8 @@ class Oak(Camera):
 
     def _check(self, depth: Any, pixels: NDArray[Any]) -> None:
         """Compare the first image with the profile; the camera states the intrinsics with its images."""
-        if pixels.dtype != np.uint16 or pixels.ndim != 2:
-            raise CameraError(f"{self.description}: depth in 16 bits expected, found {pixels.dtype} {pixels.shape}", _PLUG)
+        i = self._expected.intrinsics
+        check_image(self.description, "depth", pixels, np.uint16, (i.height, i.width))
         if self._checked:
             return
         matrix = np.array(depth.getTransformation().getIntrinsicMatrix(), dtype=np.float64)

@@ -1,5 +1,6 @@
 """Intel RealSense D400 cameras through pyrealsense2 (librealsense 2.5x)."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from sextant.services.perception.cameras.camera import (
     DeviceClock,
     Frame,
     check_depth_scale,
+    check_image,
     check_intrinsics,
     intrinsics_of,
 )
@@ -53,6 +55,7 @@ class RealSense(Camera):
             self._pipeline = rs.pipeline()
         except RuntimeError as error:
             raise CameraError(f"{_NAME}: {error}", _PLUG) from error
+        self._shape = (expected.intrinsics.height, expected.intrinsics.width)
         self._color = False
         self._number = -1
         self._imu: tuple[Any, Any] | None = None  # sensor and queue of its readings
@@ -92,12 +95,18 @@ class RealSense(Camera):
             if not taken or taken.get_frame_number() == self._number:
                 return None
             self._number = taken.get_frame_number()
-            stamp_ns = self._stamps.host_ns(round(taken.get_timestamp() * 1e6), self._clock())
-            depth = np.array(np.asanyarray(taken.get_data()), dtype=np.uint16)  # copied because the library reuses its memory
+            at_ms = float(taken.get_timestamp())
+            depth = np.array(np.asanyarray(taken.get_data()))  # copied because the library reuses its memory
+            check_image(self.description, "depth", depth, np.uint16, self._shape)
+            if not math.isfinite(at_ms):
+                raise CameraError(f"{self.description}: a finite time stamp expected, found {at_ms}", _PLUG)
+            stamp_ns = self._stamps.host_ns(round(at_ms * 1e6), self._clock())
             rgb = None
             if color and self._color:
                 aligned = self._align.process(frames).get_color_frame()
-                rgb = np.array(np.asanyarray(aligned.get_data()), dtype=np.uint8) if aligned else None
+                rgb = np.array(np.asanyarray(aligned.get_data())) if aligned else None
+            if rgb is not None:
+                check_image(self.description, "colour", rgb, np.uint8, (*self._shape, 3))
         except RuntimeError as error:
             raise CameraError(f"{self.description}: {error}", _PLUG) from error
         return Frame(stamp_ns, depth, rgb)
@@ -111,6 +120,8 @@ class RealSense(Camera):
             while frame := self._imu[1].poll_for_frame():
                 data, at_ms = frame.as_motion_frame().get_motion_data(), frame.get_timestamp()
                 vector = np.array([data.x, data.y, data.z], dtype=np.float64)
+                if not (math.isfinite(at_ms) and np.isfinite(vector).all()):
+                    continue
                 if frame.get_profile().stream_type() == self._rs.stream.accel:
                     self._force = at_ms, vector
                 elif self._force is not None and abs(at_ms - self._force[0]) < _FORCE_MS:
@@ -163,9 +174,8 @@ class RealSense(Camera):
 
     def _check(self, profile: Any, expected: CameraProfile) -> None:
         """Compare the started streams with the robot's profile."""
-        check_depth_scale(
-            self.description, expected.sensor.depth_scale, 1.0 / profile.get_device().first_depth_sensor().get_depth_scale()
-        )
+        unit_m = profile.get_device().first_depth_sensor().get_depth_scale()
+        check_depth_scale(self.description, expected.sensor.depth_scale, 1.0 / unit_m if unit_m else math.inf)
         i = profile.get_stream(self._rs.stream.depth).as_video_stream_profile().get_intrinsics()
         found = intrinsics_of(self.description, i.width, i.height, i.fx, i.fy, i.ppx, i.ppy)
         check_intrinsics(self.description, expected.intrinsics, found)

@@ -301,6 +301,46 @@ def test_device_disconnected_while_opening_is_reported(  # type: ignore[no-untyp
         RealSense(colored(kit), kit.clock)
 
 
+@pytest.mark.parametrize(
+    ("depth", "rgb", "at_ms", "reason"),
+    [
+        (np.zeros((48, 64), np.uint8), None, 1.0, r"depth of uint16 \(48, 64\) expected, found uint8 \(48, 64\)"),
+        (np.zeros((24, 32), np.uint16), None, 1.0, r"found uint16 \(24, 32\)"),
+        (np.zeros((48, 64, 3), np.uint16), None, 1.0, r"found uint16 \(48, 64, 3\)"),
+        (np.zeros((48, 64), np.uint16), np.zeros((48, 64), np.uint8), 1.0, r"colour of uint8 \(48, 64, 3\) expected"),
+        (np.zeros((48, 64), np.uint16), None, float("nan"), "a finite time stamp expected, found nan"),
+        (np.zeros((48, 64), np.uint16), None, float("inf"), "a finite time stamp expected, found inf"),
+    ],
+)
+def test_garbage_of_the_device_is_refused(  # type: ignore[no-untyped-def]
+    kit, lib: Library, depth: Any, rgb: Any, at_ms: float, reason: str
+) -> None:
+    camera = RealSense(colored(kit), kit.clock)
+    lib.frames = [FrameSet(Picture(depth, 1, at_ms), None if rgb is None else Picture(rgb, 1))]
+    with pytest.raises(CameraError, match=reason):
+        camera.read(True)
+
+
+@pytest.mark.parametrize("unit_m", [0.0, -0.001, float("nan")])
+def test_invalid_depth_unit_is_refused(kit, lib: Library, unit_m: float) -> None:  # type: ignore[no-untyped-def]
+    lib.depth_scale = unit_m
+    with pytest.raises(CameraError, match="1000 units per metre expected"):
+        RealSense(kit.profile.camera, kit.clock)
+    assert lib.stops == 1
+
+
+def test_garbage_of_the_imu_is_left_out(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    motion = lib.motion = MotionSensor()
+    camera = RealSense(kit.profile.camera, kit.clock, imu=True)
+    motion.send("accel", 0.0, -9.8, 0.0, 1000.0)
+    motion.send("accel", float("nan"), -9.8, 0.0, 1001.0)
+    motion.send("gyro", 0.1, float("inf"), 0.3, 1002.0)
+    motion.send("gyro", 0.1, 0.2, 0.3, float("nan"))
+    motion.send("gyro", 0.1, 0.2, 0.3, 1003.0)
+    (reading,) = camera.read_imu()
+    np.testing.assert_array_equal(reading.specific_force, [0.0, -9.8, 0.0])
+
+
 def test_imu_gives_each_rate_with_the_newest_force(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
     motion = lib.motion = MotionSensor()
     camera = RealSense(kit.profile.camera, kit.clock, imu=True)
