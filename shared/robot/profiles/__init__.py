@@ -15,6 +15,8 @@ from sextant.shared.robot.kinematics import leg_inverse
 from sextant.shared.robot.profile import Leg, RobotProfile, Stance
 from sextant.shared.spelling import hint
 
+_DESCRIPTIONS = (".urdf", ".xacro", ".xml", ".mjcf")  # suffixes of robot descriptions
+
 
 def load_profile(name_or_path: str) -> RobotProfile:
     """Read a bundled profile by its name, or another one by the path of its TOML file.
@@ -52,6 +54,9 @@ def _shipped(name: str, asked_by: str) -> Traversable:
     The error for an unknown name mentions `asked_by`.
     """
     known = profile_names()
+    if Path(name).suffix in _DESCRIPTIONS:
+        ways = f"import it first: `sextant robot import {name} --out robot.toml`"
+        raise config.ConfigError(asked_by, [f"a profile expected, found the robot description {name!r}; {ways}"])
     if name not in known:
         ways = f"{hint(name, known)}; or give a path that ends in .toml"
         raise config.ConfigError(asked_by, [f"no profile {name[:60]!r}; {ways}"])

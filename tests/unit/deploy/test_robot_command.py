@@ -34,6 +34,7 @@ def test_profile_of_a_file_is_exported(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("words", "status", "message"),
     [
+        (["mine.urdf", "--mjcf"], 2, "import it first: `sextant robot import mine.urdf --out robot.toml`"),
         (["phantomx_mk2"], 2, "one of --urdf and --mjcf expected, found none"),
         (["phantomx_mk2", "--urdf", "--mjcf"], 2, "one of --urdf and --mjcf expected, found both"),
         (["fantomx_mk2", "--urdf"], 2, "did you mean 'phantomx_mk2'?"),
