@@ -64,6 +64,12 @@ def check(profile: str, as_json: bool) -> int:
     return SUCCESS if found.passes else FAILED
 
 
+_SERVO_WORDS = (
+    "model of the servos, by its name in docs/servos.md; maestro or pca9685 for hobby servos; a TOML file with [servo]; or a "
+    "profile that has these servos"
+)
+
+
 def _point(text: str) -> tuple[float, ...]:
     point = tuple(map(float, text.split(",")))
     if len(point) != 3 or not all(abs(length) <= 10 for length in point):
@@ -86,7 +92,7 @@ def _point(text: str) -> tuple[float, ...]:
     type=Parsed(_point, "point"),
 )
 @option("--forward", "direction of the robot's front in the first link", type=Choice(("x", "y", "-x", "-y")), default="x")
-@option("--servo", "model of the servos (default: the nearest by torque)", "MODEL")
+@option("--servo", f"{_SERVO_WORDS} (default: the nearest model by torque)", "MODEL")
 def import_(file: str, out: str, joints: str | None, foot: tuple[float, ...] | None, forward: str, servo: str | None) -> int:
     """Write a profile from a URDF or MJCF file.
 
@@ -162,8 +168,7 @@ class _Measured:
 )
 @option(
     "--servo",
-    "model of the servos, by its name in docs/servos.md; maestro or pca9685 for hobby servos; a TOML file with [servo]; or a "
-    "profile that has these servos (default: asked for with the measures, else AX-12A)",
+    f"{_SERVO_WORDS} (default: asked for with the measures, else AX-12A)",
     "MODEL",
 )
 @option("--volts", "voltage of the servos, where their maker states several (default: the usual one)", "V", type=_VOLTS)

@@ -25,6 +25,12 @@ _SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
 }
 
+_KINDS = {
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+}
+
 
 def read_mjcf(path: Path) -> RobotDescription:
     """Read the robot of an MJCF file: the body without a hinge that most hinges are below of, and all below it.
@@ -115,7 +121,8 @@ def _joint(model: Any, body: int, names: dict[int, str]) -> DescribedJoint:
         return DescribedJoint(f"{names[body]} mount", parent, names[body], T)
     joint_name = model.joint(first).name or f"{names[body]} joint"
     if count > 1 or model.jnt_type[first] != mujoco.mjtJoint.mjJNT_HINGE:
-        raise DescriptionError(f"body {names[body]}: one hinge expected, found {count} joints or another type ({joint_name})")
+        kinds = [_KINDS[int(model.jnt_type[joint])] for joint in range(first, first + count)]
+        return DescribedJoint(joint_name, parent, names[body], T, other=" and ".join(kinds))
     dof = int(model.jnt_dofadr[first])
     damping = float(model.dof_damping[dof].flat[0])
     torque = _torque(model, first)

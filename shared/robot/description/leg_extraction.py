@@ -20,6 +20,8 @@ _AXIS_TOLERANCE = 0.02  # [rad] by which an axis may deviate from vertical, hori
 _PLANE_TOLERANCE_M = 0.003  # [m] by which knee and foot may be off the plane of their leg
 _FOOT = re.compile(r"foot|feet|toe|tip|end_?effector|\bee\b", re.IGNORECASE)
 _SERVO_RANGE = np.radians(150.0)  # [rad] in both directions: the limits of a joint without limits
+_SIDE_M = 0.003  # [m] least distance of a coxa axis from the plane between left and right
+_LIKE_DEGREES = (7.0, 360.0)  # a limit between them is in degrees rather than radians
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -60,15 +62,21 @@ class DescribedBodies:
                 if end not in description.links:
                     raise DescriptionError(f"joint {joint.name}: no link {end!r}; {hint(end, list(description.links))}")
             children.setdefault(joint.parent, []).append(joint)
-        inner = {joint.child for joint in description.joints}
-        roots = [name for name in description.links if name not in inner]
+        self.above = {joint.child: joint for joint in description.joints}  # joint above each link
+        roots = [name for name in description.links if name not in self.above]
         if len(roots) != 1:
-            raise DescriptionError(f"one link without a parent expected, found {len(roots)}: {', '.join(roots[:5])}")
-        self.pose = {roots[0]: transform(rotation_z(-forward), np.zeros(3))}  # (4, 4) T_body_link of each link
-        self.members: dict[str, list[str]] = {roots[0]: [roots[0]]}  # links of each rigid body, by its first link
+            found = f"{len(roots)}: {', '.join(roots[:5])}" if roots else "none"
+            raise DescriptionError(f"one link without a parent expected, found {found}")
+        above_trunk = []  # links such as a world in which the robot floats
+        while len(below := children.get(roots[0], [])) == 1 and below[0].other and below[0].child not in above_trunk:
+            above_trunk.append(roots[0])
+            roots = [below[0].child]
+        self.root, self.forward = roots[0], forward
+        self.pose = {self.root: transform(rotation_z(-forward), np.zeros(3))}  # (4, 4) T_body_link of each link
+        self.members: dict[str, list[str]] = {self.root: [self.root]}  # links of each rigid body, by its first link
         self.hinges: dict[str, list[DescribedJoint]] = {}  # hinges that begin at each rigid body
-        self.root = roots[0]
-        waiting = [(roots[0], roots[0])]
+        self.still: list[DescribedJoint] = []  # joints below the trunk that could move, and are fixed at zero
+        waiting = [(self.root, self.root)]
         while waiting:
             link, body = waiting.pop()
             for joint in children.get(link, ()):
@@ -79,10 +87,12 @@ class DescribedBodies:
                 if moves:
                     self.hinges.setdefault(body, []).append(joint)
                     self.members[joint.child] = []
+                elif joint.axis is not None or joint.other:
+                    self.still.append(joint)
                 first = joint.child if moves else body
                 self.members[first].append(joint.child)
                 waiting.append((joint.child, first))
-        if len(self.pose) != len(description.links):
+        if len(self.pose) + len(above_trunk) != len(description.links):
             raise DescriptionError("one tree of links expected, found a loop of joints")
 
     def links(self, body: str) -> Iterator[tuple[DescribedLink, Array]]:
@@ -121,25 +131,33 @@ class DescribedBodies:
 
 
 def chains_of(bodies: DescribedBodies) -> list[tuple[DescribedJoint, ...]]:
-    """Return the chains of hinges that begin at the trunk.
+    """Return the six chains of three hinges that begin at the trunk; others, such as those of a head, are left out.
 
     Raises:
-        DescriptionError: They are not six chains of three hinges.
+        DescriptionError: There are not six.
     """
     chains = []
     for first in bodies.hinges.get(bodies.root, []):
         chain = [first]
-        while following := bodies.hinges.get(chain[-1].child, []):
-            if len(following) > 1:
-                names = ", ".join(joint.name for joint in following)
-                raise DescriptionError(f"link {chain[-1].child}: one joint of a leg expected, found {names}")
+        while len(following := bodies.hinges.get(chain[-1].child, [])) == 1:
             chain.append(following[0])
         chains.append(tuple(chain))
-    if len(chains) != len(LEGS) or any(len(chain) != len(JOINTS) for chain in chains):
-        found = "; ".join("-".join(joint.name for joint in chain) for chain in chains) or "no hinge at the first link"
-        ways = "name the 18 joints in a table with --joints"
-        raise DescriptionError(f"six legs of three joints at the trunk expected, found {len(chains)} ({found}); {ways}")
-    return chains
+    legs = [chain for chain in chains if len(chain) == len(JOINTS) and chain[-1].child not in bodies.hinges]
+    if len(legs) == len(LEGS):
+        return legs
+    for last in (chain[-1].child for chain in chains):
+        if last in bodies.hinges:
+            names = ", ".join(joint.name for joint in bodies.hinges[last])
+            raise DescriptionError(f"link {last}: one joint of a leg expected, found {names}")
+    found = "; ".join("-".join(joint.name for joint in chain) for chain in chains) or "no hinge at the first link"
+    others = f"; of other kinds: {still_joints(bodies)}" if bodies.still else ""
+    ways = "name the 18 joints in a table with --joints"
+    raise DescriptionError(f"six legs of three joints at the trunk expected, found {len(chains)} ({found}{others}); {ways}")
+
+
+def still_joints(bodies: DescribedBodies) -> str:
+    """Return the names of the joints that are fixed at zero, with the kinds of those that are no hinges."""
+    return ", ".join(f"{joint.name} ({joint.other})" if joint.other else joint.name for joint in bodies.still)
 
 
 def named_chains(bodies: DescribedBodies, names: Mapping[str, Sequence[str]]) -> list[tuple[DescribedJoint, ...]]:
@@ -172,19 +190,26 @@ def ordered(bodies: DescribedBodies, chains: Sequence[tuple[DescribedJoint, ...]
     Raises:
         DescriptionError: There are not three on each side.
     """
-    places = [bodies.axis(chain[0])[0] for chain in chains]
-    left = [k for k, place in enumerate(places) if place[1] > 1e-6]
-    right = [k for k, place in enumerate(places) if place[1] < -1e-6]
+    places = np.array([bodies.axis(chain[0])[0] for chain in chains])
+    left, right = _sides(places, 0.0)
     if len(left) != 3 or len(right) != 3:
-        ways = "turn the robot with --forward, or name its legs with --joints"
+        turns = [word for word, angle in FORWARD.items() if list(map(len, _sides(places, angle - bodies.forward))) == [3, 3]]
+        options = " or ".join(f"--forward {word}" for word in turns)
+        ways = f"state the robot's front with {options}" if turns else "name its legs with --joints"
         raise DescriptionError(
-            f"three legs on the left of x and three on the right expected, found {len(left)} and {len(right)}; {ways}"
+            f"three legs on the left of the robot and three on the right expected, found {len(left)} and {len(right)}; {ways}"
         )
     of_side = {
         side: dict(zip(("front", "middle", "rear"), sorted(legs, key=lambda k: -places[k][0]), strict=True))
         for side, legs in (("left", left), ("right", right))
     }
     return [chains[of_side[side][place]] for side, place in (leg.split() for leg in LEGS)]
+
+
+def _sides(places: Array, front: float) -> tuple[list[int], list[int]]:
+    """Return which of the places (n, 3) [m] are on the left and on the right of a direction [rad about z from x]."""
+    to_left = places @ [-np.sin(front), np.cos(front), 0.0]
+    return np.flatnonzero(to_left > _SIDE_M).tolist(), np.flatnonzero(to_left < -_SIDE_M).tolist()
 
 
 def leg_of(bodies: DescribedBodies, name: str, chain: Sequence[DescribedJoint], foot: Array | None) -> DescribedLeg:
@@ -197,8 +222,9 @@ def leg_of(bodies: DescribedBodies, name: str, chain: Sequence[DescribedJoint], 
         foot: (3,) [m] {last link} centre of the foot; None: from the description.
 
     Raises:
-        DescriptionError: An axis is not as in the module's description, or the foot is unknown.
+        DescriptionError: An axis is not as in the module's description, the foot is unknown, or limits are in degrees.
     """
+    _verify_joints(bodies, name, chain)
     (p_coxa, a_coxa), (p_femur, a_femur), (p_tibia, a_tibia) = (bodies.axis(joint) for joint in chain)
     place = f"{name} leg"
     _expect_axis(f"{place}, joint {chain[0].name}", "a vertical coxa axis", abs(a_coxa[2]) > np.cos(_AXIS_TOLERANCE), a_coxa)
@@ -246,6 +272,20 @@ def leg_of(bodies: DescribedBodies, name: str, chain: Sequence[DescribedJoint], 
         ),
         foot_radius=radius,
     )
+
+
+def _verify_joints(bodies: DescribedBodies, name: str, chain: Sequence[DescribedJoint]) -> None:
+    """Raise DescriptionError if a leg has a joint that is no hinge, above its last hinge, or limits in degrees."""
+    link = chain[-1].child
+    while link != bodies.root:
+        joint = bodies.above[link]
+        if joint.other:
+            raise DescriptionError(f"{name} leg, joint {joint.name}: a hinge or a fixed joint expected, found {joint.other}")
+        if joint.limits and _LIKE_DEGREES[0] < max(map(abs, joint.limits)) <= _LIKE_DEGREES[1]:
+            found = " and ".join(f"{limit:g}" for limit in joint.limits)
+            ways = "which look like degrees; divide the limits of all joints by 57.3"
+            raise DescriptionError(f"{name} leg, joint {joint.name}: limits in radians expected, found {found}, {ways}")
+        link = joint.parent
 
 
 def _across(inertia: Array, along: Array) -> float:

@@ -22,13 +22,15 @@ from sextant.shared.robot.description.leg_extraction import (
     leg_of,
     named_chains,
     ordered,
+    still_joints,
 )
 from sextant.shared.robot.description.robot_description import DescribedJoint, DescriptionError, RobotDescription
+from sextant.shared.robot.horn_assembly import angles_at_centre
 from sextant.shared.robot.kinematics import body_forward
 from sextant.shared.robot.profile import JOINTS, LEGS, Camera, Leg, RobotProfile
 from sextant.shared.robot.profile_proposal import PLACEHOLDER_STANCE, proposed_camera, proposed_stance
-from sextant.shared.robot.servo import Servo
-from sextant.shared.robot.servo_proposal import nearest_servo, proposed_battery, proposed_servo, unknown_model
+from sextant.shared.robot.servo import Battery, Servo
+from sextant.shared.robot.servo_proposal import BOARDS, chosen_servo, nearest_servo, proposed_battery, proposed_servo
 from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.spelling import hint
 
@@ -67,9 +69,10 @@ def import_profile(
         names: Names of coxa, femur and tibia joint by leg; None: guessed from where they are.
         foot: (3,) [m] centre of every foot in the frame of its last link, or one by leg; None: from the description.
         forward: Direction of the robot's front in the frame of the first link, a key of `FORWARD`.
-        servo: Model of the servos; None: the nearest by torque.
+        servo: Model, board, file or profile of the servos, as in `chosen_servo`; None: the nearest model by torque.
 
     Raises:
+        ConfigError: The servos are not known, or their file is invalid.
         DescriptionError: The description is not that of a robot with six legs of three joints, the axes are not standard, or a
             value does not fit a profile.
     """
@@ -92,12 +95,18 @@ def _import(
 ) -> ImportedProfile:
     movable = None if names is None else frozenset(name for chain in names.values() for name in chain)
     bodies = DescribedBodies(description, FORWARD[forward], movable)
-    chains = ordered(bodies, chains_of(bodies)) if names is None else named_chains(bodies, names)
+    if names is None:
+        legs = chains_of(bodies)
+        bodies = DescribedBodies(description, FORWARD[forward], frozenset(joint.name for leg in legs for joint in leg))
+        chains = ordered(bodies, legs)
+    else:
+        chains = named_chains(bodies, names)
     described = [leg_of(bodies, leg, chain, feet.get(leg)) for leg, chain in zip(LEGS, chains, strict=True)]
-    notes: list[str] = []
+    notes = [f"joints that are not of a leg are fixed at zero: {still_joints(bodies)}"] if bodies.still else []
     origin, size = _trunk(bodies, described, notes)
-    data = _servo([joint for chain in chains for joint in chain], servo, notes)
-    most = math.floor(np.degrees(MODEL_NAMED[data.model].units.range_rad) * 10 + 1e-6) / 10  # [deg] in both directions
+    data, battery = _servo([joint for chain in chains for joint in chain], servo, notes)
+    most = math.floor(np.degrees(data.servo_model.units.range_rad) * 10 + 1e-6) / 10  # [deg] in both directions
+    first = 0 if data.pulses else 1  # servo id, or channel of a board
     horns = _horns(described, most, notes)
     profile = RobotProfile(
         name=description.name[:100].strip() or "imported",
@@ -107,12 +116,17 @@ def _import(
         body=_body(bodies, described, origin, size, notes),
         foot=_foot(described, notes),
         stance=PLACEHOLDER_STANCE,
-        legs=tuple(_leg(k, leg, horns, most, origin) for k, leg in enumerate(described)),  # type: ignore[arg-type]
+        legs=tuple(_leg(k, leg, horns, most, origin, first) for k, leg in enumerate(described)),  # type: ignore[arg-type]
         camera=_camera(bodies, origin, size, notes),
-        battery=proposed_battery(data.model),
+        battery=battery,
     )
     profile = replace(profile, stance=proposed_stance(profile))
-    notes.append("servo ids are 1 to 18, horns and signs those of the description: `sextant servos calibrate` measures them")
+    notes.append(
+        f"{'channels' if data.pulses else 'servo ids'} are {first} to {first + 17}, horns and signs those of the description: "
+        "`sextant servos calibrate` measures them"
+    )
+    if data.pulses:
+        notes.append(f"screw the horns on with each servo at its centre and its joint at: {angles_at_centre(profile)}")
     error = _foot_error(bodies, chains, described, feet, profile, origin)
     joints = {leg: chain.joints for leg, chain in zip(LEGS, described, strict=True)}
     return ImportedProfile(profile, joints, tuple(notes), error)
@@ -182,8 +196,11 @@ def _links(described: Sequence[DescribedLeg]) -> LegLinks:
     return LegLinks(coxa, femur, tibia)
 
 
-def _leg(k: int, leg: DescribedLeg, horns: Array, most: float, origin: Array) -> Leg:
-    """Return a leg of the profile; the servo angle is that of the description, where all legs have the same zero."""
+def _leg(k: int, leg: DescribedLeg, horns: Array, most: float, origin: Array, first: int) -> Leg:
+    """Return a leg of the profile; the servo angle is that of the description, where all legs have the same zero.
+
+    Servo ids begin with `first` at the first leg.
+    """
     servo = np.sort(leg.signs[:, None] * (np.degrees(leg.limits) + horns[:, None]), axis=1)
     servo = servo.clip(-most, most).round(_ANGLE_DIGITS)
     if (np.ptp(servo, axis=1) <= 0.0).any():
@@ -194,35 +211,51 @@ def _leg(k: int, leg: DescribedLeg, horns: Array, most: float, origin: Array) ->
         name=LEGS[k],
         mount_xyz=_three(leg.mount - origin),
         neutral_yaw_deg=round(float(np.degrees(leg.yaw)), _ANGLE_DIGITS) + 0.0,
-        servo_ids=(3 * k + 1, 3 * k + 2, 3 * k + 3),
+        servo_ids=(3 * k + first, 3 * k + first + 1, 3 * k + first + 2),
         servo_signs=(signs[0], signs[1], signs[2]),
         servo_limits_deg=tuple((low, high) for low, high in servo.tolist()),  # type: ignore[arg-type]
     )
 
 
-def _servo(joints: Sequence[DescribedJoint], model: str | None, notes: list[str]) -> Servo:
-    """Return the servo: its model's data, with torque, speed, friction and armature of the description where it states them."""
+def _servo(joints: Sequence[DescribedJoint], word: str | None, notes: list[str]) -> tuple[Servo, Battery]:
+    """Return servo and battery.
+
+    A model or a board takes torque, speed, friction and armature of the description where it states them. A file or a profile
+    states its own.
+    """
+    if word is not None and word not in (*MODEL_NAMED, *BOARDS):
+        notes.append(f"servos and battery are those of {word}; torque and speed of the description are not used")
+        return chosen_servo(word)
     efforts, velocities = [joint.effort for joint in joints], [joint.speed for joint in joints]
     torques, speeds = [t for t in efforts if 0 < t < _NO_SERVO_NM], [v for v in velocities if 0 < v < _NO_SERVO_RAD_S]
     for values, those, unit in ((efforts, torques, "N m"), (velocities, speeds, "rad/s")):
         if not those and max(values, default=0.0) > 0:
             notes.append(f"no servo has {max(values):g} {unit}: the value of the servo model is used")
     torque = round(float(np.median(torques)), _OTHER_DIGITS) if torques else None
-    if model is not None and model not in MODEL_NAMED:
-        raise DescriptionError(unknown_model(model))
-    servo = proposed_servo(model or nearest_servo(torque), torque)
+    if word is not None and word in BOARDS:
+        servo, battery = chosen_servo(word)
+        torque = torque or servo.stall_torque
+        servo = replace(servo, stall_torque=torque, stiffness=servo.stiffness * torque / servo.stall_torque)
+        notes.append(
+            "pulses, and what the description does not state of [servo], are those of a DS3218: "
+            "correct them for other servos, see docs/hobby_servos.md"
+        )
+    else:
+        name = word or nearest_servo(torque)
+        servo, battery = proposed_servo(name, torque), proposed_battery(name)
     if torque is None:
         notes.append(f"the description states no torque: that of {servo.model} at its usual voltage is used")
-    elif model is None:
+    elif word is None:
         notes.append(f"servo model {servo.model}, chosen by the torque of {torque:g} N m; give another with --servo")
     frictions = [joint.friction for joint in joints if joint.friction]
     armatures = [joint.armature for joint in joints if joint.armature]
-    return replace(
+    servo = replace(
         servo,
         no_load_speed=round(float(np.median(speeds)), _OTHER_DIGITS) if speeds else servo.no_load_speed,
         friction=float(np.median(frictions)) if frictions else servo.friction,
         armature=float(np.median(armatures)) if armatures else servo.armature,
     )
+    return servo, battery
 
 
 def _trunk(bodies: DescribedBodies, described: Sequence[DescribedLeg], notes: list[str]) -> tuple[Array, Array]:

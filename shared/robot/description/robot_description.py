@@ -15,6 +15,11 @@ from sextant.shared.geometry import Array, from_xyz_rpy
 
 _MOST_BODIES = 2000  # links of a file; a robot has some dozens
 _LARGEST = 1e6  # largest plausible number, in any unit
+_OTHER_KINDS = ("prismatic", "floating", "planar")  # of joints
+_XACRO = (
+    "URDF expected, found Xacro; expand it first with the program xacro, of ROS or `pip install xacro`: "
+    "`xacro FILE > robot.urdf`, and import robot.urdf"
+)
 
 
 class DescriptionError(SextantError, ValueError):
@@ -44,19 +49,20 @@ class DescribedLink:
 
 @dataclass(frozen=True, slots=True)
 class DescribedJoint:
-    """A joint: fixed, or a hinge."""
+    """A joint: fixed, a hinge, or of another kind."""
 
     name: str
     parent: str  # link
     child: str  # link
     T_parent_child: Array  # (4, 4) at joint angle zero
-    axis: Array | None = None  # (3,) {child} unit vector of a hinge; None: fixed
+    axis: Array | None = None  # (3,) {child} unit vector of a hinge; None: no hinge
     anchor: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m] {child} a point of the axis
     limits: tuple[float, float] | None = None  # [rad]; None: unlimited
     effort: float = 0.0  # [N m] largest torque; 0: not stated
     speed: float = 0.0  # [rad/s] largest speed; 0: not stated
     friction: float | None = None  # [N m] dry friction
     armature: float | None = None  # [kg m^2]
+    other: str = ""  # kind of a joint that is neither fixed nor a hinge, such as "prismatic"
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +83,11 @@ def read_urdf(text: str) -> RobotDescription:
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
-        raise DescriptionError(f"XML expected: {error}") from None
+        raise DescriptionError(_XACRO if "<xacro:" in text else f"XML expected: {error}") from None
+    if any("xacro" in part.tag or any("${" in value for value in part.attrib.values()) for part in root.iter()):
+        raise DescriptionError(_XACRO)
     if root.tag != "robot":
-        raise DescriptionError(f"a <robot> of URDF expected, found <{root.tag}>; expand Xacro files first")
+        raise DescriptionError(f"a <robot> of URDF expected, found <{root.tag}>")
     links = {link.name: link for link in map(_link, root.findall("link"))}
     joints = tuple(_joint(element) for element in root.findall("joint"))
     if len(links) > _MOST_BODIES:
@@ -131,8 +139,10 @@ def _joint(element: ET.Element) -> DescribedJoint:
     T, links = _pose(element, place), (parent.get("link", ""), child.get("link", ""))
     if kind == "fixed":
         return DescribedJoint(name, *links, T)
+    if kind in _OTHER_KINDS:
+        return DescribedJoint(name, *links, T, other=kind)
     if kind not in ("revolute", "continuous"):
-        raise DescriptionError(f"{place}: a revolute, continuous or fixed joint expected, found {kind!r}")
+        raise DescriptionError(f"{place}: a type of URDF expected, such as revolute or fixed, found {kind!r}")
     axis = _vector(element.find("axis"), "xyz", place, (1.0, 0.0, 0.0))
     if np.linalg.norm(axis) < 1e-9:
         raise DescriptionError(f"{place}: an axis expected, found {axis.tolist()}")

@@ -103,6 +103,8 @@ def test_import_writes_a_profile_that_later_commands_read(
         ),
         (["robot.urdf", "--out", "x.toml", "--forward", "z"], "--forward: unknown 'z'"),
         (["robot.urdf", "--out", "x.toml", "--servo", "RX64"], "no servo model 'RX64'; did you mean 'RX-64'?"),
+        (["robot.urdf", "--out", "x.toml", "--servo", "MG996R"], "for hobby servos maestro or pca9685, their board"),
+        (["robot.xacro", "--out", "x.toml"], "robot.xacro: URDF expected, found Xacro; expand it first"),
         (["robot.urdf", "--out", "x.toml", "--joints", "none.toml"], "none.toml: no such file"),
         (["empty.urdf", "--out", "x.toml"], "six legs of three joints at the trunk expected, found 0"),
     ],
@@ -112,12 +114,25 @@ def test_invalid_import_is_reported_in_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("robot.urdf").write_text(urdf(load_profile("phantomx_mk2")), encoding="utf-8")
+    Path("robot.xacro").write_text('<robot><xacro:leg name="left_front"/></robot>', encoding="utf-8")
     Path("empty.urdf").write_text('<robot name="empty"><link name="base"/></robot>', encoding="utf-8")
     assert cli.main(["robot", "import", *words]) == 2
     printed = capsys.readouterr()
     assert message in printed.err
     assert len(printed.err.splitlines()) == 1
     assert not Path("x.toml").exists()
+
+
+def test_import_takes_hobby_servos_and_prints_how_to_mount_their_horns(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exported, imported = tmp_path / "robot.urdf", tmp_path / "robot.toml"
+    exported.write_text(urdf(load_profile("phantomx_mk2")), encoding="utf-8")
+    assert cli.main(["robot", "import", str(exported), "--servo", "pca9685", "--out", str(imported)]) == 0
+    words = "screw the horns on with each servo at its centre and its joint at: coxa 0, femur 0, tibia -70.05 deg (bent down)"
+    assert words in capsys.readouterr().out
+    assert words in imported.read_text(encoding="utf-8")
+    assert load_profile(str(imported)).servo_names[17] == "left middle tibia"
 
 
 MEASURES = {"coxa": 0.045, "femur": 0.06, "tibia": 0.11, "front": 0.085, "side": 0.045, "middle": 0.07, "mass": 1.6}

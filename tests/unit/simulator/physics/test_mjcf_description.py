@@ -77,12 +77,30 @@ def test_robot_of_meshes_and_defaults_is_read_without_its_files(tmp_path: Path) 
     assert found.foot_error < 1e-6
 
 
+def test_joints_of_a_head_are_fixed_whatever_they_are(tmp_path: Path) -> None:
+    box = '<geom type="box" size=".01 .01 .01" mass="0.1"/>'
+    head = (
+        f'<body name="head"><joint name="pan" range="-90 90"/>{box}'
+        f'<body name="eyes"><joint type="ball" name="look" range="0 20"/>{box}</body>'
+        f'<body name="neck"><joint type="slide" name="up" range="0 1"/><joint name="turn" range="-90 90"/>{box}</body></body>'
+    )
+    path = tmp_path / "spider.xml"
+    path.write_text(HEXAPOD.replace('<body name="lf"', f'{head}<body name="lf"'), encoding="utf-8")
+    found = import_profile(read_mjcf(path))
+    assert found.profile.body.mass == pytest.approx(1.8)
+    (note,) = [note for note in found.notes if note.startswith("joints that are not of a leg are fixed at zero: ")]
+    assert sorted(note.split(": ")[1].split(", ")) == ["look (ball)", "pan", "up (slide and hinge)"]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("<mujoco><worldbody><body/></worldbody></mujoco>", "a trunk and hinges below it expected, found no hinge"),
         ("<mujoco><nothing/></mujoco>", "MJCF expected: .*nothing"),
-        (HEXAPOD.replace('<joint name="lf knee"', '<joint type="slide" name="lf knee"'), "one hinge expected, found 1 joints"),
+        (
+            HEXAPOD.replace('<joint name="lf knee"', '<joint type="slide" name="lf knee"'),
+            r"found 6 \(.*; of other kinds: lf knee \(slide\)\)",
+        ),
     ],
 )
 def test_other_models_are_an_error(text: str, words: str, tmp_path: Path) -> None:

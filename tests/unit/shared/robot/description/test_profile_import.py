@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sextant.evaluation.robot_check.gait_cycle import walk_cycle
+from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, exp_so3, rotation_z, transform
 from sextant.shared.robot.body import Body
 from sextant.shared.robot.description.profile_import import import_profile, read_legs
@@ -79,7 +80,8 @@ def described(profile: RobotProfile, seed: int | None = None, bend: float = 0.0)
 @pytest.mark.parametrize("name", profile_names())
 def test_exported_urdf_is_imported_with_the_same_kinematics(name: str, tmp_path: Path) -> None:
     robot = load_profile(name)
-    found = import_profile(read_urdf(urdf(robot)))
+    board = robot.servo.pulses.board if robot.servo.pulses else None  # hobby servos are not looked for
+    found = import_profile(read_urdf(urdf(robot)), servo=board)
     assert found.foot_error < 1e-9
     q = np.random.default_rng(0).uniform(robot.joint_limits[..., 0], robot.joint_limits[..., 1], (100, 6, 3))
     write_new_profile(tmp_path / "robot.toml", found.profile)
@@ -92,8 +94,7 @@ def test_exported_urdf_is_imported_with_the_same_kinematics(name: str, tmp_path:
     for joint in range(3):
         across = [body.link_inertia(joint, 0.05, 0.01)[1:] for body in (again.body, export_body(robot))]
         np.testing.assert_allclose(*across, rtol=1e-3)
-    if robot.servo.pulses is None:  # hobby servos are not looked for
-        assert (again.servo.model, again.servo.stall_torque) == (robot.servo.model, robot.servo.stall_torque)
+    assert (again.servo.model, again.servo.stall_torque) == (robot.servo.model, robot.servo.stall_torque)
     assert again.foot == robot.foot
     np.testing.assert_allclose(again.camera.T_body_camera, robot.camera.T_body_camera, atol=1e-5)
 
@@ -158,6 +159,10 @@ def test_turned_robot_is_imported_by_its_front() -> None:
     )
     found = import_profile(replace(straight, joints=joints), forward="y")
     np.testing.assert_allclose(found.profile.T_body_coxa, PROFILE.T_body_coxa, atol=1e-6)
+    words = "found 2 and 2; state the robot's front with --forward y or --forward -y$"
+    for forward in ("x", "-x"):
+        with pytest.raises(DescriptionError, match=words):
+            import_profile(replace(straight, joints=joints), forward=forward)
 
 
 def changed(change: Callable[[DescribedJoint], DescribedJoint | None]) -> RobotDescription:
@@ -204,7 +209,15 @@ def named(name: str, **changes: object) -> Callable[[DescribedJoint], DescribedJ
         ),
         (
             lambda: changed(named("left_middle_coxa", T_parent_child=transform(np.eye(3), (0.0, 0.0, 0.0)))),
-            "three legs on the left of x and three on the right expected, found 2 and 3; turn the robot with --forward",
+            "three legs on the left of the robot and three on the right expected, found 2 and 3; name its legs with --joints",
+        ),
+        (
+            lambda: changed(named("left_rear_coxa", axis=None, other="prismatic")),
+            r"found 6 \(.*; of other kinds: left_rear_coxa \(prismatic\)\); name the 18 joints",
+        ),
+        (
+            lambda: changed(named("left_rear_tibia", limits=(-100.0, 30.0))),
+            "left rear leg, joint left_rear_tibia: limits in radians expected, found -100 and 30, which look like degrees",
         ),
         (lambda: changed(named("left_rear_coxa", parent="nowhere")), "joint left_rear_coxa: no link 'nowhere'"),
     ],
@@ -226,18 +239,78 @@ def test_description_without_masses_or_feet_is_an_error() -> None:
     assert found.profile.links == PROFILE.links
 
 
-def test_table_of_joints_names_legs_and_leaves_other_hinges_out(tmp_path: Path) -> None:
+def below(link: str, *chain: DescribedJoint) -> RobotDescription:
+    """Describe a robot with more joints in a row below a link; each carries a link of 0.1 kg with the joint's name."""
     whole = described(PROFILE)
-    mast = DescribedJoint("pan", BASE, "mast", np.eye(4), np.array([0.0, 0.0, 1.0]))
-    with_mast = replace(whole, links={**whole.links, "mast": DescribedLink("mast", 0.1)}, joints=(*whole.joints, mast))
-    with pytest.raises(DescriptionError, match=r"found 7 \(.*pan"):
+    parents = [link, *(joint.name for joint in chain)]
+    joints = [replace(joint, parent=parent, child=joint.name) for parent, joint in zip(parents, chain, strict=False)]
+    more = {joint.name: DescribedLink(joint.name, 0.1) for joint in joints}
+    return replace(whole, links={**whole.links, **more}, joints=(*whole.joints, *joints))
+
+
+def turning(name: str, limits: tuple[float, float] | None = None) -> DescribedJoint:
+    return DescribedJoint(name, "", "", np.eye(4), np.array([0.0, 0.0, 1.0]), limits=limits)
+
+
+def sliding(name: str) -> DescribedJoint:
+    return DescribedJoint(name, "", "", np.eye(4), other="prismatic")
+
+
+@pytest.mark.parametrize(
+    ("chain", "listed"),
+    [
+        ([turning("pan", limits=(-90.0, 90.0))], "pan"),
+        ([turning("pan"), turning("tilt")], "pan, tilt"),
+        ([sliding("lift")], r"lift \(prismatic\)"),
+        ([sliding("lift"), turning("pan")], r"lift \(prismatic\), pan"),
+        ([turning(f"arm {k}") for k in range(5)], "arm 0, arm 1, arm 2, arm 3, arm 4"),
+    ],
+)
+def test_joints_of_head_and_arm_are_fixed_and_noted(chain: list[DescribedJoint], listed: str) -> None:
+    found = import_profile(below(BASE, *chain))
+    assert found.profile.links == PROFILE.links
+    assert found.profile.body.mass == pytest.approx(1.4 + 0.1 * len(chain))
+    assert [note for note in found.notes if re.fullmatch(f"joints that are not of a leg are fixed at zero: {listed}", note)]
+
+
+def test_spring_below_a_leg_is_fixed_and_one_in_a_leg_is_an_error(tmp_path: Path) -> None:
+    found = import_profile(below("left_rear_tibia_link", sliding("spring")))
+    assert "joints that are not of a leg are fixed at zero: spring (prismatic)" in found.notes
+    assert import_profile(described(PROFILE)).notes[0] != found.notes[0]
+    whole = below("left_rear_femur_link", sliding("spring"))
+    sprung = replace(
+        whole, joints=tuple(replace(j, parent="spring") if j.name == "left_rear_tibia" else j for j in whole.joints)
+    )
+    with pytest.raises(
+        DescriptionError, match="left rear leg, joint spring: a hinge or a fixed joint expected, found prismatic"
+    ):
+        import_profile(sprung)
+
+
+def test_robot_that_floats_in_a_world_is_that_without_the_world() -> None:
+    text, place = urdf(PROFILE), '<origin xyz="0.1 0 0.2" rpy="0 0 0.3"/>'
+    world = (
+        f'<link name="world"/><joint name="free" type="floating">{place}<parent link="world"/><child link="{BASE}"/></joint>'
+    )
+    alone, floating = (import_profile(read_urdf(t)) for t in (text, text.replace("</robot>", f"{world}</robot>")))
+    assert floating.profile == alone.profile
+    assert floating.notes == alone.notes
+    back = f'<joint name="back" type="floating"><parent link="{BASE}"/><child link="world"/></joint>'
+    loop = text.replace("</robot>", f"{world}{back}</robot>")
+    with pytest.raises(DescriptionError, match="one link without a parent expected, found none"):
+        import_profile(read_urdf(loop))
+
+
+def test_table_of_joints_names_legs_and_leaves_other_hinges_out(tmp_path: Path) -> None:
+    with_mast = below(BASE, turning("pan"), turning("tilt"), turning("roll"))
+    with pytest.raises(DescriptionError, match=r"found 7 \(.*pan-tilt-roll"):
         import_profile(with_mast)
     parts = ("coxa", "femur", "tibia")
     lines = [f'"{leg}" = {[leg.replace(" ", "_") + "_" + part for part in parts]}' for leg in LEGS]
     path = tmp_path / "joints.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
     found = import_profile(with_mast, read_legs(path).joints)
-    assert found.profile.body.mass == pytest.approx(1.5)
+    assert found.profile.body.mass == pytest.approx(1.7)
     assert found.foot_error < 1e-9
     for bad, words in (
         (lines[1:], "left front: the names of coxa, femur, tibia joint expected, found None"),
@@ -260,6 +333,36 @@ def test_torque_and_speed_that_no_servo_has_are_those_of_the_model() -> None:
     assert found.profile.servo.no_load_speed < 10.0
     notes = [note for note in found.notes if note.startswith("no servo has")]
     assert notes == [f"no servo has 100 {unit}: the value of the servo model is used" for unit in ("N m", "rad/s")]
+
+
+@pytest.mark.parametrize("board", ["maestro", "pca9685"])
+def test_hobby_servos_at_a_board_have_torque_and_speed_of_the_description(board: str) -> None:
+    found = import_profile(described(PROFILE), servo=board)
+    usual, servo = load_profile("printed_ds3218"), found.profile.servo
+    assert servo.pulses is not None
+    assert (servo.pulses.board, servo.stall_torque, servo.no_load_speed) == (board, 1.5, 6.178)
+    assert servo.stiffness / servo.stall_torque == pytest.approx(usual.servo.stiffness / usual.servo.stall_torque)
+    assert found.profile.battery == usual.battery
+    assert sorted(found.profile.servo_names) == list(range(18))
+    assert np.abs(np.degrees(found.profile.joint_limits) + [[h] * 2 for h in found.profile.horn_offsets_deg]).max() <= 135.0
+    for words in ("are those of a DS3218", "channels are 0 to 17", "screw the horns on with each servo at its centre"):
+        assert len([note for note in found.notes if words in note]) == 1
+
+
+def test_servos_of_a_profile_or_a_file_are_taken_as_they_are(tmp_path: Path) -> None:
+    for name in ("printed_ds3218", "lotriet_rx64"):
+        found, other = import_profile(described(PROFILE), servo=name).profile, load_profile(name)
+        assert (found.servo, found.battery) == (other.servo, other.battery)
+    path = tmp_path / "servo.toml"
+    path.write_text('[servo]\nmodel = "MX-28"\nstall_torque = 2.3\n[battery]\nwarn_voltage = 9.0\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"battery: .*empty_voltage"):
+        import_profile(described(PROFILE), servo=str(path))
+    path.write_text('[servo]\nmodel = "MX-28"\nstall_torque = 2.3\n', encoding="utf-8")
+    found = import_profile(described(PROFILE), servo=str(path)).profile
+    assert (found.servo.model, found.servo.stall_torque) == ("MX-28", 2.3)
+    assert found.servo_names[1] == "left front coxa"
+    with pytest.raises(ConfigError, match="for hobby servos maestro or pca9685"):
+        import_profile(described(PROFILE), servo="MG996R")
 
 
 def test_proposed_stride_leaves_room_for_coxae_that_hardly_turn() -> None:
@@ -315,15 +418,21 @@ def test_feet_of_a_table_may_differ_between_legs(tmp_path: Path) -> None:
             read_legs(path)
 
 
+EXPAND = "URDF expected, found Xacro; expand it first .*xacro FILE > robot.urdf"
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("<robot", "XML expected"),
         ("<mujoco/>", "a <robot> of URDF expected, found <mujoco>"),
+        ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="leg.xacro"/></robot>', EXPAND),
+        ('<robot><xacro:leg name="left_front"/></robot>', EXPAND),
+        ('<robot><link name="a"><inertial><mass value="${m / 2}"/></inertial></link></robot>', EXPAND),
         ('<robot><joint name="j" type="revolute"/></robot>', "joint j: <parent> and <child> expected"),
         (
-            '<robot><joint name="j" type="prismatic"><parent link="a"/><child link="b"/></joint></robot>',
-            "joint j: a revolute, continuous or fixed joint expected, found 'prismatic'",
+            '<robot><joint name="j" type="hinge"><parent link="a"/><child link="b"/></joint></robot>',
+            "joint j: a type of URDF expected, such as revolute or fixed, found 'hinge'",
         ),
         (
             '<robot><joint name="j" type="fixed"><origin xyz="1 2"/><parent link="a"/><child link="b"/></joint></robot>',
@@ -338,7 +447,7 @@ def test_feet_of_a_table_may_differ_between_legs(tmp_path: Path) -> None:
             '<robot><link name="a"><inertial><mass value="heavy"/></inertial></link></robot>',
             "link a: a number of at most .* expected in value",
         ),
-        ("<robot/>", "one link without a parent expected, found 0"),
+        ("<robot/>", "one link without a parent expected, found none"),
     ],
 )
 def test_invalid_urdf_is_an_error(text: str, words: str) -> None:
@@ -372,6 +481,13 @@ def test_wrong_values_give_a_profile_or_a_reason(changes: dict[int, str]) -> Non
         tokens[2 * place + 1] = f'"{value}"'
     with contextlib.suppress(DescriptionError):
         import_profile(read_urdf("".join(tokens)))
+
+
+def test_expanded_xacro_is_urdf() -> None:
+    """The program xacro writes its own name in a comment, and may keep its namespace."""
+    text = urdf(PROFILE).replace("<robot ", '<robot xmlns:xacro="http://ros.org/wiki/xacro" ')
+    comment = "<!-- This document was autogenerated by xacro from robot.xacro; <xacro:leg/> of ${length} -->"
+    assert import_profile(read_urdf(text.replace("</robot>", f"{comment}</robot>"))).profile.links == PROFILE.links
 
 
 def test_entities_do_not_expand_without_limit() -> None:
