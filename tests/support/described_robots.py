@@ -167,4 +167,22 @@ def round_in_mjcf() -> DescribedRobot:
     return DescribedRobot("round", text, "xml", (), (coxa, femur, tibia))
 
 
-ROBOTS = (numbered_with_meshes, standing_at_zero, round_in_mjcf)
+def floating_with_head() -> DescribedRobot:
+    """Return the robot that stands at joint angles zero, floating in a world, with a head, a gripper, and hobby servos."""
+    robot = standing_at_zero()
+    joints = (("float", "floating", "world", "chassis"), ("pan", "revolute", "chassis", "neck"))
+    joints += (("tilt", "revolute", "neck", "head"), ("grip", "prismatic", "chassis", "finger"))
+    parts = [
+        '<link name="world"/>',
+        *(f'<link name="{name}">{_inertial(0.02, 0.0, 2e-6)}</link>' for name in ("neck", "head", "finger")),
+    ]
+    parts += [
+        f'<joint name="{name}" type="{kind}"><origin xyz="0.08 0 0.03"/><parent link="{parent}"/><child link="{child}"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for name, kind, parent, child in joints
+    ]
+    text = robot.text.replace("</robot>", "\n".join([*parts, "</robot>"]))
+    return DescribedRobot("floating", text, "urdf", ("--servo", "maestro"), robot.lengths)
+
+
+ROBOTS = (numbered_with_meshes, standing_at_zero, round_in_mjcf, floating_with_head)
