@@ -7,9 +7,9 @@ from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING
 
 from sextant.deploy.commands.common import FAILED, SUCCESS, CommandError, complain, say
+from sextant.deploy.commands.servo_port import Bus, opener_of
 
 if TYPE_CHECKING:
-    from sextant.deploy.commands.servo_port import Bus
     from sextant.services.actuator.commissioning.set_ids import Operator
     from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
     from sextant.shared.robot.profile import Calibration, RobotProfile
@@ -19,13 +19,19 @@ if TYPE_CHECKING:
 def _board(port: str, profile: "RobotProfile") -> "Iterator[PwmServos]":
     """Open the board, and report one that does not answer."""
     from sextant.services.actuator.commissioning.pulse_commissioning import open_servos
-    from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
+    from sextant.services.actuator.servo_bus.bus_setup import BoardSilentError, BusSetupError
+    from sextant.services.actuator.servo_bus.triage import instead_of_board
 
-    with closing(open_servos(port, profile, time.monotonic_ns)) as board:
-        try:
+    assert profile.servo.pulses is not None
+
+    try:
+        with closing(open_servos(port, profile, time.monotonic_ns)) as board:
             yield board
-        except BusSetupError as error:
-            raise CommandError(str(error)) from None
+    except BoardSilentError as error:
+        found = instead_of_board(opener_of(Bus("", port), profile), profile.servo.pulses.board)
+        raise CommandError("\n  -> ".join(found) if found else str(error)) from None
+    except BusSetupError as error:
+        raise CommandError(str(error)) from None
 
 
 def scan(bus: "Bus", profile: "RobotProfile", as_json: bool) -> int:

@@ -1,6 +1,5 @@
 """`sextant servos`: scan, configure, calibrate and test servos, real or emulated."""
 
-import errno
 import json
 import sys
 import threading
@@ -13,8 +12,8 @@ from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from sextant.deploy.commands import options, pulse_servos
-from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, CommandError, InputError, complain, say
+from sextant.deploy.commands import options, pulse_servos, servos_off
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
 from sextant.deploy.commands.operator_questions import Terminal
 from sextant.deploy.commands.servo_port import (
     Bus,
@@ -25,7 +24,6 @@ from sextant.deploy.commands.servo_port import (
     open_all,
     open_ids,
     open_line,
-    open_servos,
     opener_of,
 )
 from sextant.deploy.terminal.arguments import Choice, Group, Parsed, argument, flag, number, option, options_of, whole
@@ -36,7 +34,6 @@ if TYPE_CHECKING:
     from sextant.shared.robot.profile import Calibration, RobotProfile
 
 _ONE_BUS = "--bus: none expected, because the robot has one bus"
-_NOBODY_SAYS = "torque off is not confirmed: if the legs do not give way, switch the servos' power off"
 _LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 
 servos = Group("servos", "Scan, centre, set ids, calibrate, test, emulate servos, or turn torque off.")
@@ -213,59 +210,8 @@ def off(bus: Bus, bridge: bool) -> int:
 
     The latch is set first: a running actuator on this port turns torque off, and so does one that starts later.
     """
-    from sextant.services.actuator.commissioning.torque_off import torque_off
-    from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError
-
     bus, profile = bus.of_robot()
-    unlatched = _latch_off(bus.port)
-    with ended_once():
-        try:
-            servo_bus = open_servos(bus, profile, bridge)
-        except BusDisconnectedError as error:
-            used = getattr(error.__cause__, "errno", None) in (errno.EAGAIN, errno.EBUSY)
-            lets_go = "torque is latched off: an actuator on this port turns it off at once, or as soon as its servos respond"
-            say(unlatched or lets_go)
-            complain(_NOBODY_SAYS)
-            if not used:
-                raise
-            raise CommandError(f"{bus.port} is in use") from None
-        with closing(servo_bus):
-            try:
-                left = torque_off(servo_bus)
-            except BusSetupError as error:
-                complain(_NOBODY_SAYS)
-                raise CommandError(str(error)) from None
-    _say_who_holds(left, profile, bridge)
-    if unlatched:
-        complain(f"{unlatched}; an actuator that starts now leaves torque on at servos that have not received torque off")
-    return FAILED if left or unlatched else SUCCESS
-
-
-def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool) -> None:
-    """Report the servos that did not confirm torque off, and how many did."""
-    from sextant.services.actuator.servo_bus.bus_scan import named
-
-    count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
-    alike = set(left.values())
-    if off == 0 and len(alike) == 1:
-        bridge = "" if bridged else "if a microcontroller drives them, add --bridge; otherwise "
-        say(f"each of {count} servos {alike.pop()}\n  -> {bridge}switch their power off")
-    else:
-        for servo_id, words in left.items():
-            say(f"{named(servo_id, profile.servo_names)} {words}\n  -> check its cable, or switch the servos' power off")
-    say(f"{off} of {count} servos confirm torque off" if left else f"torque is off: confirmed by {off} of {count} servos")
-
-
-def _latch_off(port: str) -> str:
-    """Set the torque-off latch of a port; return the error as text, or nothing."""
-    from sextant.services.actuator.safety.torque_off_latch import Latch
-    from sextant.shared.runtime.clock import now_ns
-
-    try:
-        Latch.of_port(port).close(now_ns())
-    except OSError as error:
-        return f"torque is not latched off: {error}"
-    return ""
+    return servos_off.off(bus, profile, bridge)
 
 
 @servos.command("set-id")

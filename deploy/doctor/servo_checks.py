@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.bus_driver import Port
     from sextant.services.actuator.servo_bus.bus_scan import ServoScan
     from sextant.shared.robot.profile import RobotProfile
+    from sextant.shared.servo.servo_model import ServoModel
 
 _PATIENCE_NS = 50_000_000  # [ns] to wait for an answer; a servo that answers late is present
 _OLD_DAYS = 180  # [days] of a calibration: horns settle and screws are loosened
@@ -144,11 +145,34 @@ def board(port: str, profile: "RobotProfile") -> Iterator[Check]:
         with closing(open_servos(port, profile, time.monotonic_ns)) as opened:
             found = channels(opened, profile)
     except (BusDisconnectedError, BusSetupError) as error:
-        yield Check(name, Level.FAIL, str(error), "check the board's power and cable, or give another port with --port")
+        words = _in_place_of_board(port, profile, error) or str(error)
+        yield Check(name, Level.FAIL, words, "check the board's power and cable, or give another port with --port")
         return
     pulses = sum(bool(one.width_us) for one in found)
     yield Check(name, Level.OK, f"the board answers; it sends pulses on {pulses} of {len(found)} channels")
     yield Check("servo feedback", Level.WARN, NO_FEEDBACK, "watch the legs and the battery yourself")
+
+
+def _in_place_of_board(port: str, profile: "RobotProfile", error: Exception) -> str:
+    """Return what else answers on the port of a board that is silent, or ""."""
+    from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, ServoBus, open_port
+    from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID
+    from sextant.services.actuator.servo_bus.bus_setup import BoardSilentError
+    from sextant.services.actuator.servo_bus.command_bus import bus_of
+    from sextant.services.actuator.servo_bus.triage import Opener, instead_of_board
+
+    if not isinstance(error, BoardSilentError) or profile.servo.pulses is None:
+        return ""
+
+    def at(rate: int, model: "ServoModel") -> ServoBus:
+        opened = open_port(port, rate, _PATIENCE_NS)
+        return bus_of(model)(opened, [FACTORY_ID], time.monotonic_ns, model=model, reply_timeout_ns=_PATIENCE_NS)
+
+    try:
+        found = instead_of_board(Opener(at, port, "://" not in port), profile.servo.pulses.board)
+    except BusDisconnectedError as other:
+        return str(other)
+    return ": ".join(found or ())
 
 
 def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan], bool]":

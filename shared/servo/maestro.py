@@ -56,6 +56,8 @@ class BoardError(IntFlag):
     SCRIPT_COUNTER = 1 << 8
 
 
+ALL_ERRORS = (1 << 9) - 1
+
 _ERROR_WORDS = {
     BoardError.SIGNAL: "serial signal error",
     BoardError.OVERRUN: "serial overrun",

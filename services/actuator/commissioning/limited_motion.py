@@ -9,7 +9,8 @@ from contextlib import contextmanager
 import numpy as np
 
 from sextant.services.actuator.commissioning.set_ids import Operator
-from sextant.services.actuator.servo_bus.bus_scan import ServoScan, call, health_problem, named, problems, retry
+from sextant.services.actuator.servo_bus.attempts import retry
+from sextant.services.actuator.servo_bus.bus_scan import ServoScan, call, health_problem, named, problems
 from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.errors import SextantError

@@ -5,7 +5,6 @@ No other servo on the bus gets torque, loses torque or moves.
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +18,10 @@ from sextant.services.actuator.commissioning.limited_motion import (
     put,
 )
 from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.servo_bus.attempts import retry
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import error_of, named, problems, retry, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import error_of, named, problems, refuse_another_device, scan_servo
+from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.triage import Opener, usual_rates
 from sextant.shared.errors import SextantError
 from sextant.shared.servo.models import MODELS
@@ -52,6 +53,7 @@ def identify(opener: Opener, servo_id: int, model: ServoModel | None = None) -> 
 
     Raises:
         NotReadyError: None answers, or its model is not known.
+        NotAServoBusError: Another device sends on the port.
         BusDisconnectedError: The port cannot be opened.
     """
     families = {one.protocol.answer_start: one for one in reversed(MODELS)}.values() if model is None else (model,)
@@ -69,6 +71,8 @@ def identify(opener: Opener, servo_id: int, model: ServoModel | None = None) -> 
                     return Identified(_model_of(bus, servo_id, model), rate)
             finally:
                 bus.close()
+    with closing(opener.open(first.bus_rate, first)) as bus:
+        refuse_another_device(bus)
     asked = " or ".join(dict.fromkeys(one.protocol.NAME for one in (MODELS if model is None else (model,))))
     raise NotReadyError(
         f"no servo with id {servo_id} answers on {opener.name} ({asked}); check its power and cable; "
@@ -78,21 +82,13 @@ def identify(opener: Opener, servo_id: int, model: ServoModel | None = None) -> 
 
 def _model_of(bus: ServoBus, servo_id: int, expected: ServoModel | None) -> ServoModel:
     """Return the model of a servo, which must be the expected one, by its number where each model with its packets has it."""
-    alike = [one for one in MODELS if one.protocol.answer_start is bus.model.protocol.answer_start]
-    told = [one for one in alike if one.has(one.table.model_number)]
-    if not told:
-        return expected or alike[0]
-    numbers = {
-        register: retry(partial(bus.read, servo_id, register))
-        for register in dict.fromkeys(one.table.model_number for one in told)
-    }
-    if expected is not None and numbers.get(expected.table.model_number) == expected.number:
-        return expected
-    found = next((one for one in told if numbers[one.table.model_number] == one.number), None)
-    if found is not None and expected is None:
-        return found
-    number = next((number for number in numbers.values() if number is not None), None)
-    which = found.name if found is not None else "silent" if number is None else f"of an unknown model, {number}"
+    told = told_model(bus, servo_id, expected or bus.model)
+    if not any(one.has(one.table.model_number) for one in models_alike(bus.model)):
+        return expected or bus.model
+    if told.model is not None and expected in (None, told.model):
+        return told.model
+    number = "silent" if told.number is None else f"of an unknown model, {told.number}"
+    which = number if told.model is None else told.model.name
     if expected is None:
         raise NotReadyError(f"servo {servo_id} is {which}: name a model with the same registers with --servo")
     raise NotReadyError(f"servo {servo_id} is {which}, {expected.name} expected: leave out --servo, or give another --robot")

@@ -1,21 +1,29 @@
 """Torque off at the port, without an actuator or after an interrupted motion."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
+from functools import partial
+from typing import NamedTuple
 
 from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError, took
 from sextant.services.actuator.commissioning.set_ids import Operator
-from sextant.services.actuator.servo_bus.bus_scan import named
+from sextant.services.actuator.servo_bus.attempts import retry
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, named, refuse_another_device
+from sextant.services.actuator.servo_bus.model_identification import told_model
 from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
-from sextant.shared.servo.models import MODELS
+from sextant.services.actuator.servo_bus.triage import Answering, Opener, first_answer, other_families
 from sextant.shared.servo.servo_model import ServoModel
 
 
-def torque_off(bus: Servos) -> dict[int, str]:
+def torque_off(bus: Servos, servo_ids: Iterable[int] | None = None) -> dict[int, str]:
     """Turn all torque off; return the servos that do not confirm it, and why.
 
     A microcontroller executes it even before a session is open. With a session it also forwards each servo's answer.
+
+    Args:
+        bus: The servos.
+        servo_ids: Those that have to confirm it; None means all of the robot's.
 
     Raises:
         BusSetupError: A configured microcontroller does not answer; the order was sent nevertheless.
@@ -25,7 +33,7 @@ def torque_off(bus: Servos) -> dict[int, str]:
     bus.open_session()
     bus.set_torque(False)
     left = {}
-    for servo_id in bus.servo_ids:
+    for servo_id in bus.servo_ids if servo_ids is None else servo_ids:
         model = bus.model_of(servo_id)
         enable = model.table.torque_enable
         if other := _of_other_model(bus, servo_id):
@@ -44,9 +52,44 @@ def _of_other_model(bus: Servos, servo_id: int) -> ServoModel | None:
     model = bus.model_of(servo_id)
     if bus.read(servo_id, model.table.model_number) in (None, model.number):
         return None
-    alike = (one for one in MODELS if one.protocol.answer_start is model.protocol.answer_start)
-    others = (one for one in alike if one.table.torque_enable != model.table.torque_enable)
-    return next((one for one in others if bus.read(servo_id, one.table.model_number) == one.number), None)
+    other = told_model(bus, servo_id, model).model
+    return None if other is None or other.table.torque_enable == model.table.torque_enable else other
+
+
+class OtherServos(NamedTuple):
+    """Servos that are not as the profile states them."""
+
+    first: Answering  # one of them
+    off: list[int]  # those that confirm that their torque is off
+    left: dict[int, str]  # those that do not, and why
+
+
+def torque_off_of_others(opener: Opener, model: ServoModel | None, ids: Iterable[int]) -> OtherServos | None:
+    """Turn the torque off of servos that answer at another rate or in another protocol than the robot's.
+
+    Args:
+        opener: Opens the port, which is closed.
+        model: Model of the robot's servos; None if they have no bus.
+        ids: Ids to ask, and that of new servos; torque off reaches all servos of the first one's family and rate.
+
+    Returns:
+        The servos, None if none answers.
+
+    Raises:
+        NotAServoBusError: Another device sends on the port.
+        BusDisconnectedError: The port is gone.
+    """
+    families = other_families(model) if model is None else (model, *other_families(model))
+    with closing(opener.open(families[0].bus_rate, families[0])) as bus:
+        refuse_another_device(bus)
+    asked = sorted({FACTORY_ID, *ids})
+    first = first_answer(opener, families, asked)
+    if first is None:
+        return None
+    with closing(opener.open(first.rate, first.model)) as bus:
+        there = [i for i in asked if i <= first.model.protocol.MAX_ID and retry(partial(bus.ping, i)) is not None]
+        left = torque_off(bus, there)
+        return OtherServos(first, [i for i in there if i not in left], left)
 
 
 @contextmanager

@@ -4,23 +4,21 @@ Two servos with one id answer at the same time. If their return delays differ, t
 the answers collide, and reads of registers that differ between the two are broken.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol
 
 from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.services.actuator.servo_bus.attempts import ATTEMPTS, retry
 from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ControlTable, Register, ServoError, ServoModel, error_words
 
 FACTORY_ID = 1  # of all makers
-_ATTEMPTS = 3  # per request: a busy host or a spike on the wire loses one occasionally
 _STRANGE_BYTES = 16  # unrequested bytes from which another device sends: fewer are noise on an open line
 _FEW = 3  # servos that are named one by one
-
-T = TypeVar("T")
 
 
 class NotAServoBusError(BusDisconnectedError):
@@ -225,7 +223,7 @@ def _crowded(bus: Bus, servo_id: int) -> bool:
 
     A single time may be a late answer.
     """
-    heard = (bus.ping_responses(servo_id) for _ in range(_ATTEMPTS))
+    heard = (bus.ping_responses(servo_id) for _ in range(ATTEMPTS))
     return all(ping_responses.answers != 1 and not ping_responses.silent for ping_responses in heard)
 
 
@@ -475,18 +473,8 @@ def wake(bus: Bus, servo_id: int) -> ServoScan | None:
 
 def ensure(bus: Bus, servo_id: int, register: Register, value: int) -> bool:
     """Write a register unless it has the value; return whether it has it at the end."""
-    for _ in range(_ATTEMPTS):
+    for _ in range(ATTEMPTS):
         if bus.read(servo_id, register) == value:
             return True
         bus.write(servo_id, register, value)
     return bus.read(servo_id, register) == value
-
-
-def retry(question: Callable[[], T | None]) -> T | None:
-    """Repeat a request until there is an answer, three times at most."""
-    return next((answer for answer in _answers(question) if answer is not None), None)
-
-
-def _answers(question: Callable[[], T | None]) -> Iterable[T | None]:
-    for _ in range(_ATTEMPTS):
-        yield question()

@@ -10,6 +10,10 @@ class BusSetupError(ConnectionError):
     """The bus lacks servos that the robot needs; the message names the remedy."""
 
 
+class BoardSilentError(BusSetupError):
+    """The board between port and servos does not answer: another device may be on the port."""
+
+
 class Bus(bus_scan.Bus, Protocol):
     """Part of `ServoBus` that is used here."""
 

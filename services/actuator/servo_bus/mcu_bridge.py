@@ -19,6 +19,7 @@ from sextant.services.actuator.servo_bus.bus_driver import (
     gone,
     reading,
 )
+from sextant.services.actuator.servo_bus.bus_setup import BoardSilentError
 from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.actuator.servo_bus.group_writes import whole
 from sextant.services.actuator.servo_bus.reading_validation import State as Registers
@@ -214,7 +215,8 @@ class Bridge:
         """Open a session; the servos and their goals stay as they are.
 
         Raises:
-            BusSetupError: No bridge answers, or its version or servo type differs.
+            BoardSilentError: No bridge answers.
+            BusSetupError: Its version or servo type differs.
             BusDisconnectedError: The port is gone.
         """
         self._session = self._clock() // _NS_PER_US % 0xFFFF_FFFF + 1  # differs from the last session
@@ -236,7 +238,7 @@ class Bridge:
                     f"set SERVO in the board's config.py, or `model` in the profile's table [servo]"
                 )
             if self._clock() >= until:
-                raise BusSetupError(
+                raise BoardSilentError(
                     "no bridge answers on the port; check its power and cable; "
                     "for a servo adapter turn the setting `bridge` off"
                 )

@@ -43,7 +43,8 @@ class Maestro:
 
     def open(self, channels: Sequence[int]) -> str:
         """Clear the errors of the board, and remove limits of speed and acceleration."""
-        if self._ask(maestro.get_errors(self._device), 2) is None:
+        errors = self._ask(maestro.get_errors(self._device), 2)
+        if errors is None or maestro.number(errors) > maestro.ALL_ERRORS:  # else another device has sent these bytes
             return "no Maestro answers; check its cable, its USB port and that its serial mode is USB Dual Port"
         for channel in channels:
             self._send(maestro.set_speed(channel, 0, self._device) + maestro.set_acceleration(channel, 0, self._device))

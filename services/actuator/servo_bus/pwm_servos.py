@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
+from sextant.services.actuator.servo_bus.bus_setup import BoardSilentError
 from sextant.services.actuator.servo_bus.group_writes import whole
 from sextant.services.actuator.servo_bus.pulse_boards import PulseBoard, open_board
 from sextant.services.actuator.servo_bus.serial_port import Port
@@ -129,12 +130,13 @@ class PwmServos:
         """Check that the board answers on a newly opened port, and adopt the pulses that it sends.
 
         Raises:
-            BusSetupError: It does not answer, or sends other pulses than those of the profile.
+            BoardSilentError: It does not answer.
+            BusSetupError: It sends other pulses than those of the profile.
             BusDisconnectedError: The port is gone.
         """
         self.between()
         if why := self._board.open(self.servo_ids):
-            raise BusSetupError(why)
+            raise BoardSilentError(why)
         for index, channel in enumerate(self.servo_ids):
             width_us = self._ask(channel)
             if width_us is None:

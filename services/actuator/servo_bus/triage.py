@@ -2,16 +2,17 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from functools import partial
 from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, refuse_another_device, retry
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, refuse_another_device
+from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
 OTHER_ROBOT = "give --robot your_robot.toml, a profile with these servos; `sextant robot new` makes one"
+USUAL_IDS = range(1, 19)  # of bus servos on the port of a robot with hobby servos
 _FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
 _RATE_TOLERANCE = 0.03  # [1] relative difference of two rates up to which bytes are received correctly
 
@@ -72,47 +73,78 @@ def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequen
     return other_family(opener, model, asked) or _silence(opener, model, rates)
 
 
-def other_family(opener: Opener, model: ServoModel, ids: Iterable[int]) -> Problem | None:
+def other_family(opener: Opener, model: ServoModel | None, ids: Iterable[int]) -> Problem | None:
     """Return that a servo answers at one of these ids, or at that of new servos, in another protocol than a model; else None.
+
+    None in place of the model stands for hobby servos, which have no protocol.
 
     Raises:
         NotAServoBusError: Another device sends on the port.
     """
-    asked = tuple(dict.fromkeys((FACTORY_ID, *ids)))
-    with closing(opener.open(model.bus_rate, model)) as bus:
+    families = other_families(model)
+    with closing(opener.open(*(families[0].bus_rate, families[0]) if model is None else (model.bus_rate, model))) as bus:
         refuse_another_device(bus)
-    for other in _other_families(model):
-        for rate in usual_rates(other) if opener.has_rates else (other.bus_rate,):
-            with closing(opener.open(rate, other)) as bus:
-                first = next((i for i in asked if i <= other.protocol.MAX_ID and bus.ping(i) is not None), None)
+    found = first_answer(opener, families, ids)
+    return None if found is None else found.problem(model)
+
+
+def instead_of_board(opener: Opener, board: str) -> Problem | None:
+    """Return that bus servos answer in place of a board of hobby servos that is silent, or None.
+
+    Raises:
+        NotAServoBusError: Another device sends on the port.
+    """
+    return other_family(opener, None, USUAL_IDS) if board == "maestro" else None  # other boards are on an I2C bus
+
+
+class Answering(NamedTuple):
+    """Servo that answers, and how it does."""
+
+    servo_id: int
+    rate: int  # [1/s]
+    model: ServoModel  # its own, or the first with its packets if it does not tell a known one
+    name: str
+
+    def problem(self, expected: ServoModel | None) -> Problem:
+        """Return its problem, where servos of a model at its usual rate are expected; None stands for hobby servos."""
+        if self.model is expected:
+            words = f"servo {self.servo_id} answers at {self.rate} baud, {expected.bus_rate} expected"
+            return Problem(words, "`sextant servos set-id` sets its rate")
+        wanted = "hobby servos" if expected is None else expected.name
+        words = f"servo {self.servo_id} is {self.name} ({self.model.protocol.NAME}) at {self.rate} baud, {wanted} expected"
+        return Problem(words, OTHER_ROBOT)
+
+
+def first_answer(opener: Opener, models: Iterable[ServoModel], ids: Iterable[int]) -> Answering | None:
+    """Return the first servo that answers at one of these ids, or at that of new servos, with the packets of these models."""
+    asked = tuple(dict.fromkeys((FACTORY_ID, *ids)))
+    for model in models:
+        for rate in usual_rates(model) if opener.has_rates else (model.bus_rate,):
+            with closing(opener.open(rate, model)) as bus:
+                first = next((i for i in asked if i <= model.protocol.MAX_ID and bus.ping(i) is not None), None)
                 if first is not None:
-                    return _of_other_family(bus, first, rate, model)
+                    return _identified(bus, first, rate)
     return None
 
 
-def _other_families(model: ServoModel) -> tuple[ServoModel, ...]:
-    """Return one model of each family whose packets differ from those of a model."""
+def _identified(bus: ServoBus, servo_id: int, rate: int) -> Answering:
+    """Return a servo that answers on a bus, with its model."""
+    told = told_model(bus, servo_id, bus.model)
+    if told.model is not None:
+        return Answering(servo_id, rate, told.model, told.model.name)
+    names = " or ".join(one.name for one in models_alike(bus.model))
+    return Answering(servo_id, rate, bus.model, names if told.number is None else f"a servo of model {told.number}")
+
+
+def other_families(model: ServoModel | None) -> tuple[ServoModel, ...]:
+    """Return one model of each family whose packets differ from those of a model; of all families for None."""
     families = {one.protocol.answer_start: one for one in reversed(MODELS)}
-    return tuple(one for start, one in families.items() if start is not model.protocol.answer_start)
-
-
-def _of_other_family(bus: ServoBus, servo_id: int, rate: int, model: ServoModel) -> Problem:
-    """Return the problem of a servo that answers in another protocol."""
-    alike = [one for one in MODELS if one.protocol.answer_start is bus.model.protocol.answer_start]
-    tell = [one for one in alike if one.has(one.table.model_number)]
-    numbers = {
-        register: retry(partial(bus.read, servo_id, register))
-        for register in dict.fromkeys(one.table.model_number for one in tell)
-    }
-    unknown = f"a servo of model {next(iter(numbers.values()))}" if numbers else " or ".join(one.name for one in alike)
-    name = next((one.name for one in tell if numbers[one.table.model_number] == one.number), unknown)
-    words = f"servo {servo_id} is {name} ({bus.model.protocol.NAME}) at {rate} baud, {model.name} expected"
-    return Problem(words, OTHER_ROBOT)
+    return tuple(one for start, one in families.items() if model is None or start is not model.protocol.answer_start)
 
 
 def _silence(opener: Opener, model: ServoModel, rates: Sequence[int]) -> Problem:
     """Return the problem of a port on which nothing answers."""
-    names = [one.protocol.NAME for one in _other_families(model)]
+    names = [one.protocol.NAME for one in other_families(model)]
     at = f" at {', '.join(map(str, rates))} baud" if opener.has_rates else ""
     latency = usb_adapter.latency_ms(opener.name)
     adapter = "" if latency is None else f"; its adapter has a latency timer of {latency} ms"

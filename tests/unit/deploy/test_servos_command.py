@@ -16,19 +16,17 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.commands import servo_port, servos
+from sextant.deploy.commands import servo_port
 from sextant.deploy.commands.servo_port import Bus
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
 from sextant.services.actuator.safety import torque_off_latch as latch_files
 from sextant.services.actuator.safety.torque_off_latch import Latch
-from sextant.services.actuator.servo_bus import bus_driver
 from sextant.services.actuator.servo_bus.bus_scan import ECHO
-from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS, BusDisconnectedError, Port, open_port
+from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError, open_port
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.host_link import Reply
-from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.robot.profile_text import write_new_profile
@@ -37,6 +35,7 @@ from sextant.shared.runtime.clock import now_ns
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.ports import free_port
 from tests.support.families import FAMILIES, robot_with
+from tests.support.port_in_memory import Line
 
 PROFILE = load_profile("phantomx_mk2")
 
@@ -44,28 +43,6 @@ PROFILE = load_profile("phantomx_mk2")
 @pytest.fixture
 def bench() -> BenchEmulator:
     return BenchEmulator(PROFILE, np.random.default_rng(1))
-
-
-class Line:
-    """Ports in memory, one after the other, to an emulated device; their virtual time is the clock of the command."""
-
-    URL = "socket://127.0.0.1:1"
-
-    def __init__(self, device: BenchEmulator | Board, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._device = device
-        monkeypatch.setattr(bus_driver, "open_port", self.open)
-        monkeypatch.setattr(servos, "time", self)
-        monkeypatch.setattr(servo_port, "time", self)
-        self._port: MemoryPort | None = None
-
-    def monotonic_ns(self) -> int:
-        return 0 if self._port is None else self._port.now_ns()
-
-    def open(self, url: str, baud_rate: int = 1_000_000, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
-        if url != self.URL:
-            return open_port(url, baud_rate, timeout_ns)
-        self._port = MemoryPort(self._device, lambda: 0, timeout=timeout_ns * 1e-9, start_ns=self.monotonic_ns())
-        return self._port
 
 
 @pytest.fixture
@@ -322,16 +299,6 @@ def test_off_disables_torque_through_bridge_board(tmp_path: Path, monkeypatch: p
     assert torque.all()
     assert cli.main(["servos", "off", "--bridge", "--port", url]) == 0
     assert not torque.any()
-
-
-def test_bridge_option_without_bridge_board_is_reported(
-    bench: BenchEmulator, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
-    assert cli.main(["servos", "off", "--bridge", "--port", url]) == 1
-    told = capsys.readouterr().err
-    assert "torque off is not confirmed" in told
-    assert "no bridge answers on the port" in told
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.commands import servo_port, servos
+from sextant.deploy.commands import servo_port, servos, servos_off
 from sextant.deploy.doctor import rehearsal, servo_checks
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.servo_bus import bus_driver
@@ -109,7 +109,7 @@ def test_ports_without_their_buses_are_refused(
 def test_off_turns_the_torque_of_both_buses_off(
     robot: RobotProfile, line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(servos, "_latch_off", lambda port: "")
+    monkeypatch.setattr(servos_off, "_latch", lambda port: "")
     for bench in line.benches:
         table = bench._servos.table
         for row in range(9):
