@@ -266,19 +266,17 @@ def _trunk(bodies: DescribedBodies, described: Sequence[DescribedLeg], notes: li
         for link, T in bodies.links(bodies.root)
         for shape in link.shapes
     ]
-    if boxes:
-        points = np.concatenate(boxes, axis=1)
-        low, high = points.min(axis=1), points.max(axis=1)
-        middle = (low + high) / 2
-        middle = np.where(np.abs(middle) < 1e-9, 0.0, middle)
-        if middle.any():
-            where = ", ".join(f"{c:.4f}" for c in middle.tolist())
-            notes.append(f"the body's origin is the middle of the trunk, ({where}) m from that of the first link")
-        return middle, high - low
-    mounts = np.array([leg.mount for leg in described])
-    span = np.ptp(mounts, axis=0)
-    notes.append("the trunk has no simple shapes: its size is that of the places of the legs; set body.size")
-    return np.zeros(3), np.array([span[0], span[1] * 0.7, _TRUNK_HEIGHT_M])
+    points = np.concatenate(boxes, axis=1) if boxes else np.array([leg.mount for leg in described]).T
+    low, high = points.min(axis=1), points.max(axis=1)
+    size, middle = high - low, (low + high) / 2
+    if not boxes:
+        notes.append("the trunk has no simple shapes: its size is that of the places of the legs; set body.size")
+        size = np.array([size[0], size[1] * 0.7, _TRUNK_HEIGHT_M])
+    middle = np.where(np.abs(middle) < 1e-9, 0.0, middle)
+    if middle.any():
+        where = ", ".join(f"{c:.4f}" for c in middle.tolist())
+        notes.append(f"the body's origin is the middle of the trunk, ({where}) m from that of the first link")
+    return middle, size
 
 
 def _body(bodies: DescribedBodies, described: Sequence[DescribedLeg], origin: Array, size: Array, notes: list[str]) -> Body:

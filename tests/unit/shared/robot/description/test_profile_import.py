@@ -165,6 +165,17 @@ def test_turned_robot_is_imported_by_its_front() -> None:
             import_profile(replace(straight, joints=joints), forward=forward)
 
 
+def test_trunk_of_meshes_is_in_the_middle_of_the_coxa_axes() -> None:
+    """The first link may be a footprint on the ground."""
+    bare = with_trunk(DescribedLink(BASE, 1.4, inertia=np.diag(TRUNK_INERTIA)))
+    below_body = DescribedJoint("footprint", "ground", BASE, transform(np.eye(3), [0.02, 0.0, 0.12]))
+    on_ground = replace(bare, links={"ground": DescribedLink("ground"), **bare.links}, joints=(below_body, *bare.joints))
+    alone, whole = import_profile(bare).profile, import_profile(on_ground)
+    np.testing.assert_allclose(whole.profile.T_body_coxa, PROFILE.T_body_coxa, atol=1e-6)
+    assert (whole.profile.body, whole.profile.stance) == (alone.body, alone.stance)
+    assert any("the middle of the trunk, (0.0200, 0.0000, 0.1200) m" in note for note in whole.notes)
+
+
 def changed(change: Callable[[DescribedJoint], DescribedJoint | None]) -> RobotDescription:
     description = described(PROFILE)
     kept = [new for joint in description.joints if (new := change(joint)) is not None]
