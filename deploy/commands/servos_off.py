@@ -19,7 +19,7 @@ _ADD_BRIDGE = "if a microcontroller drives the servos, add --bridge"
 def off(bus: Bus, profile: "RobotProfile", bridge: bool) -> int:
     """Latch the port, and turn the torque of all servos on it off; return the exit status."""
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError
-    from sextant.services.actuator.servo_bus.bus_scan import NotAServoBusError
+    from sextant.services.actuator.servo_bus.other_device import NotAServoBusError
 
     unlatched = _latch(bus.port)
     errors: list[str] = []

@@ -101,6 +101,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that all of the robot's servos respond, and their state."""
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, open_port
     from sextant.services.actuator.servo_bus.bus_scan import ALSO_ASKS, ECHO, problems
+    from sextant.services.actuator.servo_bus.other_device import NotAServoBusError
 
     if profile.servo.pulses is not None:
         yield from board(port, profile)
@@ -114,7 +115,8 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     try:
         seen, echo = _called(opened, profile)
     except BusDisconnectedError as error:
-        yield Check(name, Level.FAIL, str(error), "check the plug and the cable")
+        other = isinstance(error, NotAServoBusError)
+        yield Check(name, Level.FAIL, str(error), "give another port with --port" if other else "check the plug and the cable")
         return
     if echo:
         yield Check(name, Level.WARN, *ECHO)
@@ -179,9 +181,14 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
     """Return the servos that respond, and whether the adapter echoes.
 
     The port is closed at the end.
+
+    Raises:
+        NotAServoBusError: Another device sends on the port.
+        BusDisconnectedError: The port is gone.
     """
     from sextant.services.actuator.servo_bus.bus_scan import ECHO, call
     from sextant.services.actuator.servo_bus.command_bus import bus_of
+    from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 
     names = profile.servo_names
     connect = partial(
@@ -196,7 +203,11 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
     bus = connect(reply_timeout_ns=_PATIENCE_NS)
     try:
         echo = bus.echo_problem() is ECHO
-        return call(connect(echo=True, reply_timeout_ns=_PATIENCE_NS) if echo else bus, names), echo
+        bus = connect(echo=True, reply_timeout_ns=_PATIENCE_NS) if echo else bus
+        seen = call(bus, names)
+        if not seen:
+            refuse_another_device(bus)
+        return seen, echo
     finally:
         bus.close()
 

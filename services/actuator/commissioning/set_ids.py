@@ -124,7 +124,7 @@ def scan(line: Line, ids: Iterable[int] | None = None, known: Collection[int] | 
         for i in asked:
             heard = bus.ping_responses(i)
             if not heard.silent or i in (bus.names if known is None else known):
-                seen = scan_servo(bus, i, listen=heard != (1, False))
+                seen = scan_servo(bus, i, listen=heard != (1, b""))
                 found += [] if seen is None else [Found(rate, seen)]
     return found
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError, took
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.attempts import retry
-from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, named, refuse_another_device
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, named
 from sextant.services.actuator.servo_bus.model_identification import told_model
+from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.services.actuator.servo_bus.triage import Answering, Opener, first_answer, other_families

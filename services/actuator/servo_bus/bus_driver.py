@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.servo_bus import bus_scan, bus_setup
-from sextant.services.actuator.servo_bus.bus_scan import PingResponses, Problem
+from sextant.services.actuator.servo_bus.bus_scan import Problem
 from sextant.services.actuator.servo_bus.bus_setup import BusSetupError
 from sextant.services.actuator.servo_bus.common_read import CommonRead, common_reads
 from sextant.services.actuator.servo_bus.group_writes import GroupWrites
+from sextant.services.actuator.servo_bus.other_device import PingResponses
 from sextant.services.actuator.servo_bus.packet_loss import LossRate
 from sextant.services.actuator.servo_bus.reading_validation import ReadingValidator, State, state_decoder
 from sextant.services.actuator.servo_bus.serial_port import (
@@ -232,6 +233,10 @@ class ServoBus:
     def unrequested_bytes(self) -> bytes:
         """Return the first bytes within a second without a request; servos send none."""
         return self._line.unrequested_bytes()
+
+    def change_rate(self, rate: int) -> bool:
+        """Change the baud rate [1/s] of the host; return whether the port has one."""
+        return self._line.change_rate(rate)
 
     @property
     def is_clean(self) -> bool:

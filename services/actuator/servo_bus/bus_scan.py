@@ -10,40 +10,14 @@ from enum import StrEnum
 from functools import partial
 from typing import NamedTuple, Protocol
 
-from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.services.actuator.servo_bus import other_device
 from sextant.services.actuator.servo_bus.attempts import ATTEMPTS, retry
-from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
+from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ControlTable, Register, ServoError, ServoModel, error_words
 
 FACTORY_ID = 1  # of all makers
-_STRANGE_BYTES = 16  # unrequested bytes from which another device sends: fewer are noise on an open line
 _FEW = 3  # servos that are named one by one
-
-
-class NotAServoBusError(BusDisconnectedError):
-    """Another device sends on the port."""
-
-    def __init__(self, heard: bytes):
-        """Report the unrequested bytes, and the serial ports of this machine."""
-        letters = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in heard)
-        text = repr(letters) if letters.strip(".") else f"the bytes {heard[:8].hex(' ')} ..."
-        others = ", ".join(usb_adapter.devices()) or "none"
-        super().__init__(
-            f"no servo bus: another device sends {text} without a request; serial ports of this computer: {others}"
-        )
-
-
-class PingResponses(NamedTuple):
-    """Responses to one ping."""
-
-    answers: int  # intact ones
-    garbage: bool  # bytes that are no answer
-
-    @property
-    def silent(self) -> bool:
-        """Whether nothing was received."""
-        return not self.answers and not self.garbage
 
 
 class Problem(NamedTuple):
@@ -61,7 +35,7 @@ class Setting(NamedTuple):
     words: str  # what is wrong with the present value
 
 
-class Bus(Protocol):
+class Bus(other_device.Bus, Protocol):
     """Part of `ServoBus` that is used here."""
 
     def model_of(self, servo_id: int) -> ServoModel:
@@ -73,12 +47,6 @@ class Bus(Protocol):
 
     def ping(self, servo_id: int) -> ServoError | None:
         """Return the error bits of a servo, None when it does not answer."""
-
-    def ping_responses(self, servo_id: int) -> PingResponses:
-        """Return all responses to one ping."""
-
-    def unrequested_bytes(self) -> bytes:
-        """Return the first bytes that arrive within a second without a request."""
 
     def read(self, servo_id: int, register: Register) -> int | None:
         """Return the value of a register."""
@@ -225,13 +193,6 @@ def _crowded(bus: Bus, servo_id: int) -> bool:
     """
     heard = (bus.ping_responses(servo_id) for _ in range(ATTEMPTS))
     return all(ping_responses.answers != 1 and not ping_responses.silent for ping_responses in heard)
-
-
-def refuse_another_device(bus: Bus) -> None:
-    """Raise NotAServoBusError if unrequested bytes arrive."""
-    heard = bus.unrequested_bytes()
-    if len(heard) >= _STRANGE_BYTES:
-        raise NotAServoBusError(heard)
 
 
 def call(bus: Bus, names: Mapping[int, str]) -> dict[int, ServoScan]:

@@ -355,21 +355,22 @@ class SerialLine:
             else:
                 found[packet.servo_id] = packet
 
-    def overhear(self, request: bytes) -> tuple[list[Packet], bool]:
-        """Return all packets after a request, and whether anything else came.
+    def overhear(self, request: bytes) -> tuple[list[Packet], bytes]:
+        """Return all packets after a request, and all bytes if some of them are in no packet.
 
         It listens for the reply timeout.
         """
-        parser, packets = self._protocol.answer_parser(self._max_parameters), []
+        parser, packets, heard = self._protocol.answer_parser(self._max_parameters), [], b""
         self.send(request)
         deadline = self._clock() + self.reply_timeout_ns
         while (data := self._receive(self._protocol.OVERHEAD + self._protocol.PING_SIZE)) is not None:
+            heard += data
             packets += parser.feed(data)
             if self._clock() >= deadline:
                 break
         self._stale = True
         packets += parser.flush()
-        return packets, parser.dropped.total() > 0
+        return packets, heard if parser.dropped.total() else b""
 
     def echoes(self, request: bytes) -> bool:
         """Return whether the port returns a request, of which no answer is a copy. It listens for the reply timeout.
@@ -389,6 +390,20 @@ class SerialLine:
             if request in heard:
                 return True
         return False
+
+    def change_rate(self, rate: int) -> bool:
+        """Change the baud rate [1/s] of the host; return whether the port has one.
+
+        Raises:
+            BusDisconnectedError: The port is gone.
+        """
+        if isinstance(self._port, _Connection) or not hasattr(self._port, "baudrate"):
+            return False
+        try:
+            self._port.baudrate = rate
+        except LOST as error:
+            raise gone(error) from error
+        return True
 
     def unrequested_bytes(self) -> bytes:
         """Return the first bytes within a second without a request; servos send none.

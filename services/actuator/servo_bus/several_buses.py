@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, Polling, ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import PingResponses, Problem
+from sextant.services.actuator.servo_bus.bus_scan import Problem
+from sextant.services.actuator.servo_bus.other_device import PingResponses
 from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
 from sextant.services.actuator.servo_bus.servo_reading import ServoReading
 from sextant.shared.robot.joint_servos import BusRows
@@ -121,8 +122,10 @@ class SeveralBuses:
         return self._bus_of[servo_id].ping(servo_id)
 
     def ping_responses(self, servo_id: int) -> PingResponses:
-        """Return all responses to one ping within the timeout."""
-        return self._bus_of[servo_id].ping_responses(servo_id)
+        """Return all responses to one ping within the timeout; of all buses for an id that is not the robot's."""
+        on = [self._bus_of[servo_id]] if servo_id in self._bus_of else [bus for _, _, bus in self._parts]
+        found = [bus.ping_responses(servo_id) for bus in on]
+        return PingResponses(sum(one.answers for one in found), b"".join(one.garbage for one in found))
 
     def echo_problem(self) -> Problem | None:
         """Return the problem of the first adapter whose echo is not as set, with its bus, or None."""
@@ -134,6 +137,10 @@ class SeveralBuses:
     def unrequested_bytes(self) -> bytes:
         """Return the first bytes within a second without a request, of each bus."""
         return b"".join(bus.unrequested_bytes() for _, _, bus in self._parts)
+
+    def change_rate(self, rate: int) -> bool:
+        """Change the baud rate [1/s] of the host on each bus; return whether all ports have one."""
+        return sum(bus.change_rate(rate) for _, _, bus in self._parts) == len(self._parts)
 
     def read(self, servo_id: int, register: Register) -> int | None:
         """Return the value of a register, None when the servo does not answer."""

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, refuse_another_device
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem
 from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
+from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
@@ -68,7 +69,10 @@ def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequen
     asked = tuple(dict.fromkeys((FACTORY_ID, *ids)))
     for rate in rates:
         with closing(opener.open(rate, model)) as bus:
-            if any(not bus.ping_responses(i).silent for i in asked):
+            heard = next((heard for i in asked if not (heard := bus.ping_responses(i)).silent), None)
+            if heard is not None:
+                if not heard.answers:
+                    refuse_another_device(bus)
                 return None
     return other_family(opener, model, asked) or _silence(opener, model, rates)
 

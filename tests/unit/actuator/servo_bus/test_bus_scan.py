@@ -10,7 +10,8 @@ import pytest
 
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import BusResponse, NotAServoBusError, ServoScan, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import BusResponse, ServoScan, scan_servo
+from sextant.services.actuator.servo_bus.other_device import NotAServoBusError
 from sextant.services.simulator.servo_bus.bus import Reply
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.models import XM430_W350

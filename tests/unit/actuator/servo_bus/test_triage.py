@@ -6,8 +6,9 @@ import pytest
 
 from sextant.services.actuator.servo_bus import triage
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import NotAServoBusError, Problem
+from sextant.services.actuator.servo_bus.bus_scan import Problem
 from sextant.services.actuator.servo_bus.command_bus import bus_of
+from sextant.services.actuator.servo_bus.other_device import NotAServoBusError
 from sextant.services.actuator.servo_bus.triage import Opener, all_rates, usual_rates
 from sextant.shared.servo.models import MODEL_NAMED, MODELS
 from sextant.shared.servo.servo_model import ServoModel
