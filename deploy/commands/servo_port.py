@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from sextant.services.actuator.commissioning.set_ids import Line
     from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.services.actuator.servo_bus.bus_scan import Problem
-    from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
     from sextant.services.actuator.servo_bus.servo_interface import Servos
     from sextant.services.actuator.servo_bus.several_buses import AnyBus
     from sextant.services.actuator.servo_bus.triage import Opener
@@ -184,12 +183,14 @@ def open_servos(bus: Bus, profile: "RobotProfile", bridge: bool) -> "Servos":
     """Open the servos of a robot on their bus, behind a microcontroller or behind a board that sends pulses."""
     from sextant.services.actuator.commissioning.pulse_commissioning import open_servos as open_board
 
+    if bridge:
+        return open_bridge(bus.port, profile)
     if profile.servo.pulses is not None:
         return open_board(bus.port, profile, time.monotonic_ns)
-    return open_bridge(bus.port, profile) if bridge else open_all(bus, profile)
+    return open_all(bus, profile)
 
 
-def open_bridge(port: str, profile: "RobotProfile") -> "Bridge":
+def open_bridge(port: str, profile: "RobotProfile") -> "Servos":
     """Open the servos behind a microcontroller at the port.
 
     Raises:
@@ -197,9 +198,12 @@ def open_bridge(port: str, profile: "RobotProfile") -> "Bridge":
     """
     from sextant.services.actuator.servo_bus.bus_driver import open_port
     from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
+    from sextant.services.actuator.servo_bus.servo_interface import behind_pulse_bridge
 
-    names, model = profile.servo_names, profile.servo_model
-    return Bridge(open_port(port, timeout_ns=READ_NS), list(names), time.monotonic_ns, model=model, names=names)
+    names, model, opened = profile.servo_names, profile.servo_model, open_port(port, timeout_ns=READ_NS)
+    if profile.servo.pulses is not None:
+        return behind_pulse_bridge(profile, opened, time.monotonic_ns)
+    return Bridge(opened, list(names), time.monotonic_ns, model=model, names=names)
 
 
 def patience_ns(rate: int) -> int:

@@ -117,8 +117,10 @@ class Simulator:
         self.bus = self.buses[0]
         self.device: Board | BusFaults = self.bus  # device at the actuator's port, or at that of the first bus
         if settings.bridge:
+            if profile.servo.pulses is not None and profile.servo.pulses.board != "pca9685":
+                raise ConfigError("the bridge's firmware", ["PCA9685 expected, found a Maestro in [servo.pulses]"])
             try:
-                self.device = Board(self.bus, model=self._bank.model)
+                self.device = Board(self.bus, model=self._bank.model, pulses=profile.servo.pulses)
             except ValueError as error:
                 raise ConfigError("the bridge's firmware", [str(error)]) from None
         self._devices = (self.device, *self.buses[1:])

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple, cast
 
 from sextant.shared.files import config
+from sextant.shared.servo import pca9685
 from sextant.shared.servo.servo_model import (
     BusProtocol,
     ControlTable,
@@ -63,6 +64,12 @@ class Pulses:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @property
+    def of_board(self) -> tuple[int, ...]:
+        """Setting `PULSES` of a microcontroller that sends these pulses."""
+        whole = (round(1000 * self.us_per_rad), round(self.centre_us), round(self.range_us), round(self.rate_hz))
+        return (*whole, round(1000 * self.oscillator_mhz), self.device or pca9685.ADDRESS)
 
     @property
     def shortest_us(self) -> float:

@@ -4,6 +4,7 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -11,11 +12,15 @@ from typing import Any
 import numpy as np
 
 from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
+from sextant.services.actuator.servo_bus.pulse_bridge import PulseBridge
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
-from sextant.services.simulator.servo_bus.servo_bank import ServoBank
+from sextant.services.simulator.servo_bus.pulse_board import Pca9685Emulator
+from sextant.services.simulator.servo_bus.servo_bank import ServoBank, make_servo_bank
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import pwm
 from sextant.shared.servo.bridge_protocol import LOAD, Limits
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.servo.firmware import board, config
@@ -58,6 +63,24 @@ def ticks_diff(new: int, old: int) -> int:
     return (new - old + TICKS // 2) % TICKS - TICKS // 2
 
 
+class Transfers:
+    """Port of the I2C transfers, as `board.I2cPort`; the emulated chips answer later."""
+
+    def __init__(self) -> None:
+        self.received = self.sent = b""
+
+    def read(self) -> bytes:
+        data, self.received = self.received, b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        self.sent += data
+
+    def take(self) -> bytes:
+        data, self.sent = self.sent, b""
+        return data
+
+
 class BoardFirmware:
     """The firmware behind `UartPort`s, with the interface of `Firmware`."""
 
@@ -65,12 +88,17 @@ class BoardFirmware:
         machine, self._record, self._echo = stand_in("machine"), record, echo
         self._now_us = now_us
         self._clock = board.Clock(self._ticks, ticks_diff)
-        rate = MODEL_NAMED[servo].bus_rate
+        rate = MODEL_NAMED[servo].bus_rate if servo in MODEL_NAMED else config.BAUD_RATE
         values = {**vars(config), "SERVO": servo, "BAUD_RATE": rate, "ECHO": echo, "DIRECTION": None if echo else 6}
         settings = SimpleNamespace(**{**values, "HOST_UART": 0, "HOST_TX": 0, "HOST_RX": 1})
-        self._bus, self._host = board.open_bus(machine, settings), board.open_host(machine, settings, None)
-        self._servos, self._computer = self._bus._uart, self._host._uart  # type: ignore[attr-defined]
-        self._servos.pin = self._bus._direction
+        self._host = board.open_host(machine, settings, None)
+        self._computer = self._host._uart  # type: ignore[attr-defined]
+        if servo == pwm.NAME:
+            self._bus = self._servos = Transfers()
+        else:
+            self._bus = board.open_bus(machine, settings)
+            self._servos = self._bus._uart
+            self._servos.pin = self._bus._direction
         self._began_us = now_us
         self.firmware = board.start(settings, boot, self._clock.now_us())
         record.append(f"B,{boot},{self._ticks()},{servo},{int(echo)},{rate}")
@@ -102,10 +130,10 @@ class BoardFirmware:
 class RecordedBoard(Board):
     """Simulated board that runs the firmware behind its ports, and records all turns."""
 
-    def __init__(self, bus: BusFaults, model: ServoModel, echo: bool) -> None:
+    def __init__(self, bus: BusFaults, model: ServoModel, echo: bool, pulses: pwm.Pulses | None = None) -> None:
         self.record: list[str] = []
         self._echoes = echo
-        super().__init__(bus, model=model)
+        super().__init__(bus, model=model, pulses=pulses)
 
     def _boot(self, now_ns: int) -> Any:
         return BoardFirmware(self.boots, now_ns // 1000, self._model.name, self._echoes, self.record)
@@ -200,3 +228,61 @@ def exchange(model: ServoModel, echo: bool = False, seed: int = 5) -> FirmwareRi
     rig.driver.set_torque(False)
     rig.cycle(4, -0.4)
     return rig
+
+
+def exchange_pulses(seed: int = 5) -> RecordedBoard:
+    """Return a board with hobby servos at two PCA9685 after a session with faults, as `exchange`."""
+    profile = load_profile("printed_ds3218")
+    assert profile.servo.pulses is not None
+    pulses, channels, rng = replace(profile.servo.pulses, board="pca9685"), (0, 1, 2, 16, 17, 18), np.random.default_rng(seed)
+    assert pulses.of_board == config.PULSES
+    bank = make_servo_bank(replace(profile.servo, pulses=pulses), channels, np.zeros(6))
+    chips = Pca9685Emulator(bank, pulses)
+    faults = BusFaults(chips, bank)
+    made = RecordedBoard(faults, bank.model, echo=False, pulses=pulses)
+    now_ns = 0
+    port = MemoryPort(made, lambda: now_ns, READ_NS * 1e-9)
+    driver = PulseBridge(port, channels, port.now_ns, pulses)
+    read, write, centre = port.read, port.write, bank.model.units.centre
+
+    def breaks(data: bytes) -> bytes:
+        return bytes(byte ^ (rng.random() < 0.01) * int(rng.integers(1, 256)) for byte in data)
+
+    def cycle(count: int, goal: int | None = None) -> None:
+        nonlocal now_ns
+        for _ in range(count):
+            now_ns = max(now_ns + PERIOD_NS, port.now_ns())
+            made.advance(now_ns)
+            driver.poll(6_500_000)
+            if goal is not None:
+                driver.sync_write_goals(np.full(6, centre + goal), 50 if goal < 0 else 0)
+
+    def torque() -> int:
+        return int(bank.column(pwm.TABLE.torque_enable).sum())
+
+    driver.setup()
+    cycle(4, 100)
+    driver.set_torque(True)
+    cycle(90, 100)
+    assert torque() == 6
+    cycle(10, 300)
+    faults.inject(BusFault("bus", "silent", 0.0, 0.2), now_ns)
+    cycle(30, 200)
+    port.read, port.write = lambda size=1, /: breaks(read(size)), lambda data, /: write(breaks(data))  # type: ignore[method-assign]
+    cycle(30, 250)
+    port.read, port.write = read, write  # type: ignore[method-assign]
+    cycle(20)  # the host is silent: the board holds
+    cycle(60, -600)  # it catches up
+    made.restart(port.now_ns())
+    cycle(50, -600)
+    assert torque() == 6
+    chips.restart(now_ns)
+    cycle(30, -600)
+    assert torque() == 0
+    driver.set_torque(True)
+    cycle(90, -600)
+    assert torque() == 6
+    driver.set_torque(False)
+    cycle(4, -600)
+    assert torque() == 0
+    return made

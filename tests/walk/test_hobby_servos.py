@@ -18,6 +18,11 @@ from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, ModeC
 from tests.support.walks import Heard, S, flat
 
 BOARDS: tuple[Board, ...] = ("maestro", "pca9685")
+WAYS = pytest.mark.parametrize(
+    ("board", "bridge"),
+    [("maestro", False), ("pca9685", False), ("pca9685", True)],
+    ids=["maestro", "pca9685", "pca9685 behind a bridge"],
+)
 
 
 def robot(board: Board) -> RobotProfile:
@@ -30,9 +35,9 @@ def robot(board: Board) -> RobotProfile:
 class Walk:
     """A lockstep run of that robot on flat ground."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board, bridge: bool) -> None:
         self.heard = Heard((topics.ACTUATOR_STATE, topics.TRUTH))
-        self.run = LockstepRun(flat(5.0), 1000, robot(board), self.heard.tap, every_frame=False)
+        self.run = LockstepRun(flat(5.0, bridge=bridge), 1000, robot(board), self.heard.tap, every_frame=False)
         simulator = self.run.service("simulator")
         assert isinstance(simulator, Simulator)
         self.simulator = simulator
@@ -59,20 +64,23 @@ class Walk:
 
 
 @pytest.mark.parametrize(
-    ("board", "terrain", "distance"),
+    ("board", "bridge", "terrain", "distance"),
     [
-        ("maestro", "flat", 0.4),
-        ("pca9685", "flat", 0.4),
+        ("maestro", False, "flat", 0.4),
+        ("pca9685", False, "flat", 0.4),
+        ("pca9685", True, "flat", 0.4),
         *(
-            pytest.param(board, name, load_scenario(name).goal.distance, marks=pytest.mark.rare)
+            pytest.param(board, False, name, load_scenario(name).goal.distance, marks=pytest.mark.rare)
             for board in BOARDS
             for name in ("steps", "stairs")
         ),
+        pytest.param("pca9685", True, "steps", load_scenario("steps").goal.distance, marks=pytest.mark.rare),
     ],
 )
-def test_robot_walks_to_its_goal(board: Board, terrain: str, distance: float) -> None:
+def test_robot_walks_to_its_goal(board: Board, bridge: bool, terrain: str, distance: float) -> None:
     scenario = load_scenario(terrain)
-    run = LockstepRun(replace(scenario, goal=replace(scenario.goal, distance=distance)), 1000, robot(board))
+    scenario = replace(scenario, goal=replace(scenario.goal, distance=distance), bridge=bridge)
+    run = LockstepRun(scenario, 1000, robot(board))
     while not run.attendance.over():
         run.run(run.now_ns() + S // 2)
     report = run.attendance.judge(1.0, in_a_hurry=True)
@@ -80,9 +88,9 @@ def test_robot_walks_to_its_goal(board: Board, terrain: str, distance: float) ->
     assert report.falls == 0
 
 
-@pytest.mark.parametrize("board", BOARDS)
-def test_torque_comes_leg_by_leg_after_the_operator_has_laid_the_robot_down(board: Board) -> None:
-    walk = Walk(board)
+@WAYS
+def test_torque_comes_leg_by_leg_after_the_operator_has_laid_the_robot_down(board: Board, bridge: bool) -> None:
+    walk = Walk(board, bridge)
     walk.run.run(5 * S)
     assert walk.state.mode is Mode.WALK
     assert "no feedback: the angles of the joints are assumed" in walk.state.warnings
@@ -112,9 +120,9 @@ def test_torque_comes_leg_by_leg_after_the_operator_has_laid_the_robot_down(boar
     assert state.mode is Mode.WALK
 
 
-@pytest.mark.parametrize("board", BOARDS)
-def test_a_board_that_restarts_gives_no_torque_by_itself(board: Board) -> None:
-    walk = Walk(board)
+@WAYS
+def test_a_board_that_restarts_gives_no_torque_by_itself(board: Board, bridge: bool) -> None:
+    walk = Walk(board, bridge)
     walk.run.run(5 * S)
     emulator = walk.simulator.bus._bus
     assert isinstance(emulator, PulseBoardEmulator)
@@ -130,9 +138,9 @@ def test_a_board_that_restarts_gives_no_torque_by_itself(board: Board) -> None:
     assert walk.order("stand", 4.0).mode is Mode.HOLD
 
 
-@pytest.mark.parametrize("board", BOARDS)
-def test_torque_ordered_while_the_port_is_gone_stays_off_until_it_is_ordered_again(board: Board) -> None:
-    walk = Walk(board)
+@WAYS
+def test_torque_ordered_while_the_port_is_gone_stays_off_until_it_is_ordered_again(board: Board, bridge: bool) -> None:
+    walk = Walk(board, bridge)
     walk.run.run(2 * S)
     walk.order("off", 1.0)
     walk.simulator.inject(BusFault("bus", "gone", 0.0, 1.0))
@@ -143,10 +151,10 @@ def test_torque_ordered_while_the_port_is_gone_stays_off_until_it_is_ordered_aga
     assert walk.torque == 18
 
 
-@pytest.mark.parametrize("board", BOARDS)
+@WAYS
 @pytest.mark.parametrize("kind", ["silent", "gone", "intermittent", "garbage"])
-def test_a_board_that_is_away_stops_the_walk_and_it_goes_on_afterwards(board: Board, kind: str) -> None:
-    walk = Walk(board)
+def test_a_board_that_is_away_stops_the_walk_and_it_goes_on_afterwards(board: Board, bridge: bool, kind: str) -> None:
+    walk = Walk(board, bridge)
     walk.simulator.inject(BusFault("bus", kind, 6.0, 1.0, **({"off_ms": 300.0} if kind == "intermittent" else {})))  # type: ignore[arg-type]
     walk.run.run(6 * S + S * 4 // 5)
     assert walk.state.mode is Mode.FAULT

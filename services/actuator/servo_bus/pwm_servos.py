@@ -23,7 +23,12 @@ from sextant.shared.servo.pwm import SPEED_TICKS_S, Pulses, model_of
 from sextant.shared.servo.servo_model import Register, ServoModel
 
 LEG_S = 0.5  # [s] between the first pulses of two legs
-_PER_LEG = 3  # servos that get their first pulses together
+PER_LEG = 3  # servos that get their first pulses together
+TURNING = "the legs get their torque one after another, and jump to the sit pose: {done} of {legs}"
+LOST_PULSES = (
+    "the pulses of {count} servos are lost, as after a restart of their board: "
+    "these have no torque; lay the robot down, then order `ready`"
+)
 _REPEATS = 2  # of requests that find a channel without its pulses: a byte of the answer may be broken
 _SAME_US = 5.0  # [us] difference of ordered pulses and those that the board reports, which a count of a PCA9685 explains
 _OTHER = "other pulses than ordered"
@@ -83,12 +88,11 @@ class PwmServos:
             other = ", or its pulses are others than ordered," if self.lost[_OTHER] else ""
             return f"the board of the servos has been silent{other} for {(now_ns - self._answered_ns) * 1e-9:.1f} s"
         if self._lost_pulses:
-            lost = f"the pulses of {self._lost_pulses} servos are lost, as after a restart of their board"
-            return f"{lost}: these have no torque; lay the robot down, then order `ready`"
+            return LOST_PULSES.format(count=self._lost_pulses)
         waiting = self._enabled & (self._powered_from_ns > now_ns)
         if waiting.any() or self._is_turning:
-            done = int(np.count_nonzero(self._enabled & ~waiting)) // _PER_LEG
-            return f"the legs get their torque one after another, and jump to the sit pose: {done} of {len(self) // _PER_LEG}"
+            done = int(np.count_nonzero(self._enabled & ~waiting)) // PER_LEG
+            return TURNING.format(done=done, legs=len(self) // PER_LEG)
         return ""
 
     @property
@@ -167,14 +171,7 @@ class PwmServos:
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
         """Return a block of settings; measured values in it are zero."""
-        found = bytearray(self.model.table.size)
-        for register in self.model.table.registers:
-            if address <= register.address < address + size and register not in self.model.table.measured:
-                value = self.read(servo_id, register)
-                if value is None:
-                    return None
-                found[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
-        return bytes(found[address : address + size])
+        return settings_block(self.model, lambda register: self.read(servo_id, register), address, size)
 
     def write(self, servo_id: int, register: Register, value: int) -> bool:
         """Set the goal or the torque of one servo at once; return whether the board sends these pulses.
@@ -236,7 +233,7 @@ class PwmServos:
             return
         self._lost_pulses = 0
         off = np.flatnonzero(~self._enabled)
-        legs = off // _PER_LEG
+        legs = off // PER_LEG
         turn = np.searchsorted(np.unique(legs), legs)
         self._powered_from_ns[off] = now_ns + np.round(turn * LEG_S * 1e9).astype(np.int64)
         self._enabled[:] = True
@@ -317,6 +314,18 @@ class PwmServos:
             found.append(width_us)
         self.lost[_OTHER] += len(set(found) - {None}) > 1
         return None
+
+
+def settings_block(model: ServoModel, read: Callable[[Register], int | None], address: int, size: int) -> bytes | None:
+    """Return bytes of a table of settings, of which `read` returns each; None if it returns None."""
+    found = bytearray(model.table.size)
+    for register in model.table.registers:
+        if address <= register.address < address + size and register not in model.table.measured:
+            value = read(register)
+            if value is None:
+                return None
+            found[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
+    return bytes(found[address : address + size])
 
 
 def _nothing() -> None:

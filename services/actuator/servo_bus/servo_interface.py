@@ -23,6 +23,7 @@ from sextant.services.actuator.servo_bus.bus_driver import (
 )
 from sextant.services.actuator.servo_bus.command_bus import CommandBus
 from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
+from sextant.services.actuator.servo_bus.pulse_bridge import PulseBridge
 from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
 from sextant.services.actuator.servo_bus.several_buses import SeveralBuses
 from sextant.shared.robot.joint_servos import BusRows
@@ -164,7 +165,8 @@ def port_openers(profile: RobotProfile, settings: Settings) -> Openers:
     ports, buses = bus_ports(settings.port), profile.servos.buses
     if wrong := wrong_ports(ports, [bus.name for bus in buses]):
         raise BusSetupError(f"actuator.port: {wrong}")
-    rates = {bus.name: profile.servos.models[bus.rows[0]].bus_rate for bus in buses}
+    # The line to a microcontroller has another rate than its servos.
+    rates = {bus.name: BAUD_RATE if settings.bridge else profile.servos.models[bus.rows[0]].bus_rate for bus in buses}
     return {bus.name: PortFinder(settings, rates[bus.name], bus.name).open for bus in buses}
 
 
@@ -241,12 +243,23 @@ def _stiffness(servos: Sequence[Servo]) -> list[float]:
     return [servo.stiffness / servo.stall_torque for servo in servos]
 
 
+def behind_pulse_bridge(profile: RobotProfile, port: Port, clock: Callable[[], int]) -> PulseBridge:
+    """Return the hobby servos of a robot behind a microcontroller on an open port."""
+    pulses = profile.servo.pulses
+    if pulses is None or pulses.board != "pca9685":
+        raise BusSetupError(
+            f"a bridge to PCA9685 expected, found a Maestro in the profile {profile.name}; connect it to the computer, and "
+            'turn the setting `bridge` off, or set board = "pca9685" in the table [servo.pulses]'
+        )
+    return PulseBridge(port, list(profile.servo_names), clock, pulses)
+
+
 def on_port(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
     """Return the servos of a robot with one bus on its open port."""
     model, names = profile.servo_model, profile.servo_names
     if profile.servo.pulses is not None:
         if settings.bridge:
-            raise BusSetupError(f"the hobby servos of {profile.name} have no bridge; turn the setting `bridge` off")
+            return behind_pulse_bridge(profile, port, clock)
         return PwmServos(port, list(names), clock, profile.servo.pulses)
     if settings.bridge:
         if profile.servo_groups:

@@ -11,6 +11,7 @@ from sextant.services.simulator.servo_bus.host_link import AdapterPort, HostLink
 from sextant.shared.servo.firmware.board import firmware_for
 from sextant.shared.servo.firmware.bridge import Firmware
 from sextant.shared.servo.models import AX_12A
+from sextant.shared.servo.pwm import Pulses
 from sextant.shared.servo.servo_model import ServoModel
 
 _OUTBOX = 8  # maximum number of frames that wait for a host that does not read; the oldest are dropped
@@ -32,19 +33,22 @@ class Board:
     It has neither thread nor clock; times are arguments.
     """
 
-    def __init__(self, bus: Servos, link: BusTiming | None = None, model: ServoModel = AX_12A) -> None:
+    def __init__(
+        self, bus: Servos, link: BusTiming | None = None, model: ServoModel = AX_12A, pulses: Pulses | None = None
+    ) -> None:
         """Connect the board; it boots at the first time that it receives.
 
         Args:
             bus: The servo bus at the rate of the model, without the delay of a USB adapter.
             link: Delays of the link to the host; by default 1 Mbit/s and a USB frame.
             model: The servos for which the board is configured.
+            pulses: Their pulses, if they are hobby servos at PCA9685.
 
         Raises:
             ValueError: The firmware does not know the servos.
         """
         self.boots = 1
-        self._model = model
+        self._model, self._pulses = model, pulses
         self.firmware = self._boot(0)
         self._bus = bus
         self._link = link or BusTiming()
@@ -100,7 +104,9 @@ class Board:
         self._from_bus = Outbox()
 
     def _boot(self, now_ns: int) -> Firmware:
-        return firmware_for(self.boots, self._model.name, _NAME, now_ns // _NS_PER_US, self._model.bus_rate)
+        pulses = self._pulses.of_board if self._pulses else ()
+        now_us = now_ns // _NS_PER_US
+        return firmware_for(self.boots, self._model.name, _NAME, now_us, self._model.bus_rate, pulses=pulses)
 
     def _run(self, now_ns: int) -> None:
         """Step the firmware through all events up to a time [ns]."""

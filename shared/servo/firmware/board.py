@@ -2,6 +2,8 @@
 
 from .bridge import CYCLE_US, Firmware
 from .commands import CommandFirmware
+from .pulses import NAME as PULSES
+from .pulses import PulseFirmware
 from .servo import ServoModel
 
 MAX_BYTES = 512  # [bytes] that are read from the host at once
@@ -96,8 +98,34 @@ class StreamPort:
         self._sent.write(data)
 
 
-def open_bus(machine, config) -> UartPort:  # type: ignore[no-untyped-def]
-    """Open the UART of the servos."""
+class I2cPort:
+    """A `machine.I2C` with the chips that send pulses to hobby servos; transfers are those of `pulses.I2cMaster`."""
+
+    def __init__(self, i2c):  # type: ignore[no-untyped-def]
+        """Take over an open bus."""
+        self._i2c = i2c
+        self._answers = b""
+
+    def read(self) -> bytes:
+        """Return the answers."""
+        data, self._answers = self._answers, b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Execute one transfer."""
+        address, _, size = data[:3]
+        try:
+            self._i2c.writeto(address, data[3:], not size)
+            self._answers += b"\1" + (self._i2c.readfrom(address, size) if size else b"")
+        except OSError:  # no chip has acknowledged
+            self._answers += bytes(1 + size)
+
+
+def open_bus(machine, config) -> object:  # type: ignore[no-untyped-def]
+    """Open the UART of the servos, or the I2C bus of the chips that send pulses."""
+    if config.SERVO == PULSES:
+        pins = {} if config.I2C_SCL is None else {"scl": machine.Pin(config.I2C_SCL), "sda": machine.Pin(config.I2C_SDA)}
+        return I2cPort(machine.I2C(config.I2C_BUS, freq=400_000, **pins))
     uart = _open_uart(machine, config, config.BUS_UART, config.BAUD_RATE, config.BUS_TX, config.BUS_RX)
     pin = None if config.DIRECTION is None else machine.Pin(config.DIRECTION, machine.Pin.OUT)
     return UartPort(uart, pin, config.DIRECTION_SENDS, config.ECHO)
@@ -119,16 +147,24 @@ def _open_uart(machine, config, number: int, rate: int, tx: object, rx: object):
 
 
 def firmware_for(
-    boot: int, servo: str, name: str, now_us: int, baud_rate: int = 1_000_000, cycle_us: int = CYCLE_US
+    boot: int,
+    servo: str,
+    name: str,
+    now_us: int,
+    baud_rate: int = 1_000_000,
+    cycle_us: int = CYCLE_US,
+    pulses: tuple = (),
 ) -> Firmware:
-    """Return the firmware for servos with registers or commands; see `Firmware`."""
+    """Return the firmware for servos with registers, commands or pulses; see `Firmware`."""
+    if servo == PULSES:
+        return PulseFirmware(boot, pulses, name, now_us, baud_rate, cycle_us)
     kind = CommandFirmware if ServoModel(servo).has_commands else Firmware
     return kind(boot, servo, name, now_us, baud_rate, cycle_us)
 
 
 def start(config, boot: int, now_us: int) -> Firmware:  # type: ignore[no-untyped-def]
     """Return the firmware for the servos of the settings."""
-    return firmware_for(boot, config.SERVO, config.NAME, now_us, config.BAUD_RATE, config.CYCLE_MS * 1000)
+    return firmware_for(boot, config.SERVO, config.NAME, now_us, config.BAUD_RATE, config.CYCLE_MS * 1000, config.PULSES)
 
 
 def turn(firmware: Firmware, clock: Clock, host, bus) -> None:  # type: ignore[no-untyped-def]

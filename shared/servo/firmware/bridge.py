@@ -69,7 +69,9 @@ class Firmware:
         self.mode = wire.WAITING
         self._boot, self._name = boot, name
         self._cycle_us = cycle_us
-        self._model = ServoModel(servo)
+        self._model: ServoModel
+        self._bus: BusMaster
+        self._open(servo, baud_rate, now_us)
         self._now_us = now_us
         self._from_host = wire.Receiver()
         self._to_host = b""
@@ -88,7 +90,6 @@ class Firmware:
         self._off_ordered = False
         self._questions: list[list] = []  # sequence, servo id, instruction, address, size and data of each
         # Servo bus.
-        self._bus = BusMaster(self._model.protocol, wire.MAX_TABLE, baud_rate, now_us)
         self._to_read: list[tuple] = []  # servo, kind of reading and remaining attempts of each
         # State messages.
         self._tick_us = now_us + self._cycle_us
@@ -98,6 +99,10 @@ class Firmware:
         self._round_due = False  # whether all servos are still to be read in this cycle
         self._state_sequence = 0
         self._refusal, self._refused = wire.NONE, 0
+
+    def _open(self, servo: str, baud_rate: int, now_us: int) -> None:
+        self._model = ServoModel(servo)
+        self._bus = BusMaster(self._model.protocol, wire.MAX_TABLE, baud_rate, now_us)
 
     @property
     def due_us(self) -> int:

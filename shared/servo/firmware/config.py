@@ -1,7 +1,7 @@
 """Settings of the board, for a Teensy 4.1. Change them for yours; docs/firmware.md has those of other boards."""
 
 NAME = "Teensy 4.1"  # at most 32 characters
-SERVO = "AX-12A"  # model of all servos, a name in models.py
+SERVO = "AX-12A"  # model of all servos, a name in models.py; "PWM" for hobby servos
 BAUD_RATE = 1_000_000  # [bit/s] of the servos
 CYCLE_MS = 20  # [ms] period of states and readings; docs/firmware.md estimates what boards reach
 
@@ -11,6 +11,13 @@ BUS_RX: object = None
 DIRECTION: object = "D6"  # pin that switches the transceiver, None without one
 DIRECTION_SENDS = 1  # level of this pin while the board sends
 ECHO = False  # whether the circuit returns to the board what it sends
+
+# Hobby servos at PCA9685. Pulses: width [ns/rad], width at the centre and its largest change [us], rate [Hz], oscillator [kHz],
+# and address of the first chip; those of the profile.
+PULSES = (424_400, 1500, 1000, 50, 25_000, 0x40)
+I2C_BUS = 0
+I2C_SCL: object = None  # pin, None for the fixed pins of the bus
+I2C_SDA: object = None
 
 HOST_UART: object = None  # None for USB
 HOST_BAUD_RATE = 1_000_000  # [bit/s]

@@ -26,28 +26,60 @@ class Settings:
         self.HOST_UART, self.HOST_TX, self.HOST_RX = 0, 0, 1
 
 
+class Held:
+    """Port whose answers are read in the recorded turns."""
+
+    def __init__(self, port):  # type: ignore[no-untyped-def]
+        self._port, self.has_arrived = port, False
+
+    def read(self):  # type: ignore[no-untyped-def]
+        return self._port.read() if self.has_arrived else b""
+
+    def write(self, data):  # type: ignore[no-untyped-def]
+        self._port.read()  # an answer that was lost
+        self._port.write(data)
+
+
+def next_answer(rows, at, transfer):  # type: ignore[no-untyped-def]
+    """Return the recorded answer to an I2C transfer; one that has been lost is not acknowledged."""
+    for words in rows[at + 1 :]:
+        if words[0] == "T" and words[3]:
+            return bytes.fromhex(words[3])
+        if words[0] == "B" or words[5]:
+            break
+    return bytes(1 + (transfer[2] if transfer else 0))
+
+
 def replay(path):  # type: ignore[no-untyped-def]
     """Return the numbers of boots, turns and sent bytes; raise AssertionError at the first difference."""
     counter = [0]
     boots = turns = count = 0
     with open(path) as lines:  # noqa: PTH123  (MicroPython has no pathlib)
         rows = [line.strip().split(",") for line in lines]
-    for words in rows:
+    for at, words in enumerate(rows):
         if words[0] == "B":
             boots += 1
             counter[0] = int(words[2])
             clock = board.Clock(lambda: counter[0], ticks_diff)
             settings = Settings(words[3], words[4] == "1", int(words[5]))
             bus, host = board.open_bus(machine, settings), board.open_host(machine, settings, None)
-            servos, computer = bus._uart, host._uart
-            servos.pin = bus._direction
+            computer = host._uart
+            has_pulses = settings.SERVO == "PWM"
+            servos = bus._i2c if has_pulses else bus._uart
+            if has_pulses:
+                bus = Held(bus)
+            else:
+                servos.pin = bus._direction
             firmware = board.start(settings, int(words[1]), clock.now_us())
             continue
         turns += 1
         counter[0] = int(words[1])
         from_host, from_bus, to_host, to_bus = [bytes.fromhex(word) for word in words[2:]]
         computer.received += from_host
-        servos.received += from_bus
+        if has_pulses:
+            servos.answer, bus.has_arrived = next_answer(rows, at, to_bus), bool(from_bus)
+        else:
+            servos.received += from_bus
         board.turn(firmware, clock, host, bus)
         found = computer.take(), servos.take()
         if settings.ECHO:

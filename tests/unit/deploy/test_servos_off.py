@@ -10,6 +10,9 @@ from sextant.deploy import cli
 from sextant.deploy.commands import servos_off
 from sextant.services.actuator.servo_bus.bus_scan import ECHO
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.pulse_board import Pca9685Emulator
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.robot.profile_text import write_new_profile
 from sextant.shared.robot.profiles import load_profile
 from tests.support.families import FAMILIES, robot_with
@@ -122,6 +125,33 @@ def test_servos_without_the_bridge_of_the_option(monkeypatch: pytest.MonkeyPatch
     assert "no bridge answers on the port" in told.err
     assert "torque is off: confirmed by 18 of 18 servos" in told.out
     assert pulling(bench) == 0
+
+
+def test_servos_with_commands_behind_a_bridge(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = standing("HX-35H")
+    line = Line(Board(bench, model=bench._servos.model), monkeypatch)
+    assert off(line, "--bridge", "--robot", "jethexa_hx35h") == 0
+    bench.receive(b"", line.monotonic_ns() + 100_000_000)
+    assert pulling(bench) == 0
+
+
+def test_hobby_servos_behind_a_bridge(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = load_profile("printed_ds3218")
+    assert profile.servo.pulses is not None
+    pulses = replace(profile.servo.pulses, board="pca9685")
+    own = replace(profile, servo=replace(profile.servo, pulses=pulses))
+    write_new_profile(tmp_path / "own.toml", own)
+    bank = make_servo_bank(own.servo, list(own.servo_names), np.zeros(18))
+    torque = bank.column(bank.table.torque_enable)
+    torque[:] = 1
+    board = Board(Pca9685Emulator(bank, pulses), model=bank.model, pulses=pulses)
+    line = Line(board, monkeypatch)
+    assert off(line, "--bridge", "--robot", str(tmp_path / "own.toml")) == 0
+    board.advance(line.monotonic_ns() + 40_000_000)
+    assert not torque.any()
+    assert "torque is off: confirmed by 18 of 18 servos" in capsys.readouterr().out
 
 
 def test_missing_bridge_is_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

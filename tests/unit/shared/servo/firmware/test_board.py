@@ -6,13 +6,13 @@ from types import ModuleType
 
 import pytest
 
-from sextant.shared.servo import dynamixel
+from sextant.shared.servo import dynamixel, pca9685
 from sextant.shared.servo import firmware as package
 from sextant.shared.servo.bridge_protocol import TO_HOST, Mode, Receiver, Torque, Welcome, encode
 from sextant.shared.servo.firmware import board, config
 from sextant.shared.servo.models import AX_12A, LX_16A, STS3215, XL430_W250
 from sextant.shared.servo.servo_model import ServoModel
-from tests.support.firmware_rig import TICKS, exchange, imported, stand_in, ticks_diff
+from tests.support.firmware_rig import TICKS, exchange, exchange_pulses, imported, stand_in, ticks_diff
 
 FAMILIES = pytest.mark.parametrize("model", [AX_12A, STS3215, XL430_W250, LX_16A], ids=lambda model: model.name)
 
@@ -50,6 +50,34 @@ def test_record_of_session_is_replayed_byte_for_byte(model: ServoModel, tmp_path
     (tmp_path / "record.csv").write_text("\n".join(spoilt), encoding="utf-8")
     with imported(machine=stand_in("machine"), firmware=package), pytest.raises(AssertionError, match="expected, found"):
         stand_in("replay").replay(str(tmp_path / "record.csv"))
+
+
+@pytest.mark.slow
+def test_record_of_session_with_pulses_is_replayed_byte_for_byte(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "record.csv").write_text("\n".join(exchange_pulses().record), encoding="utf-8")
+    with imported(machine=stand_in("machine"), firmware=package):
+        boots, turns, count = stand_in("replay").replay(str(tmp_path / "record.csv"))
+    assert boots >= 2
+    assert turns > 1000
+    assert count > 20_000
+
+
+def test_transfers_go_to_the_i2c_bus() -> None:
+    machine = stand_in("machine")
+    i2c = machine.I2C(0)
+    port = board.I2cPort(i2c)
+    i2c.answer = b"\1"
+    port.write(pca9685.frame(pca9685.write(0x40, 6, (0, 0, 7, 1))))
+    i2c.answer = b"\1\2\3\4\5"
+    port.write(pca9685.frame(pca9685.read(0x41, 6, 4)))
+    assert port.read() == b"\1\1\2\3\4\5"
+    i2c.answer = bytes(5)
+    port.write(pca9685.frame(pca9685.read(0x41, 6, 4)))
+    assert port.read() == bytes(5), "not acknowledged"
+    assert port.read() == b""
+    assert i2c.take() == b"".join(
+        pca9685.frame(one) for one in (pca9685.write(0x40, 6, (0, 0, 7, 1)), pca9685.read(0x41, 6, 4), pca9685.read(0x41, 6, 4))
+    )
 
 
 def test_clock_continues_when_the_counter_wraps() -> None:

@@ -14,7 +14,7 @@ import pytest
 from sextant.shared.servo import firmware
 from sextant.shared.servo.models import AX_12A, LX_16A, STS3215, XL430_W250
 from sextant.shared.servo.servo_model import ServoModel
-from tests.support.firmware_rig import STAND_INS, exchange
+from tests.support.firmware_rig import STAND_INS, exchange, exchange_pulses
 
 PACKAGE = "@micropython/micropython-webassembly-pyscript"
 VERSION = "1.27.0"
@@ -49,6 +49,15 @@ def test_session_with_faults_gives_same_bytes(model: ServoModel, echo: bool, tmp
     assert name == "micropython"
     assert int(boots) == sum(line.startswith("B") for line in rig.board.record)
     assert int(turns) == sum(line.startswith("T") for line in rig.board.record)
+    assert int(count) > 20_000
+
+
+def test_session_with_pulses_gives_same_bytes(tmp_path: Path) -> None:
+    made, record = exchange_pulses(), tmp_path / "record.csv"
+    record.write_text("\n".join(made.record), encoding="utf-8")
+    name, boots, turns, count = run(STAND_INS / "replay.py", record__csv=record).split()
+    assert name == "micropython"
+    assert (int(boots), int(turns)) == tuple(sum(line.startswith(kind) for line in made.record) for kind in "BT")
     assert int(count) > 20_000
 
 

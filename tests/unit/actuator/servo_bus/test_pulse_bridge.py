@@ -1,0 +1,320 @@
+"""Hobby servos behind a microcontroller with PCA9685: the driver, the firmware and the chips at their registers."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.servo_bus.bridge_link import READ_NS
+from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
+from sextant.services.actuator.servo_bus.pulse_bridge import PulseBridge
+from sextant.services.actuator.servo_bus.servo_interface import on_port
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.bus_faults import BusFaults
+from sextant.services.simulator.servo_bus.host_link import Reply
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
+from sextant.services.simulator.servo_bus.pulse_board import Pca9685Emulator
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import pca9685
+from sextant.shared.servo.bridge_protocol import Instruction, Limits, Mode, Refusal, Result
+from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.firmware.pulses import LEG_US
+from sextant.shared.servo.pwm import TABLE
+
+PERIOD_NS, BUDGET_NS = 20_000_000, 6_500_000
+CENTRE, NEAR_TICKS = 4000, 10  # a count of a PCA9685 is 4.9 us, 20 ticks
+PROFILE = load_profile("printed_ds3218")
+assert PROFILE.servo.pulses is not None
+PULSES = replace(PROFILE.servo.pulses, board="pca9685")
+
+
+class Rig:
+    """18 servos at two PCA9685 in virtual time, with a board, and a driver."""
+
+    def __init__(self, torque: bool = False, spread: bool = False) -> None:
+        self.channels = (*range(9), *range(16, 25)) if spread else tuple(range(18))
+        self.bank = make_servo_bank(replace(PROFILE.servo, pulses=PULSES), self.channels, np.zeros(18))
+        self.bank.column(TABLE.torque_enable)[:] = torque
+        self.bank.column(TABLE.goal_position)[:] = CENTRE + 100
+        self.chips = Pca9685Emulator(self.bank, PULSES)
+        self.faults = BusFaults(self.chips, self.bank)
+        self.board = Board(self.faults, model=self.bank.model, pulses=PULSES)
+        self.now_ns = 0
+        self.most_at_once = 0  # servos that got torque in one cycle
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        """Connect a new driver to a new port."""
+        self.port = MemoryPort(self.board, lambda: self.now_ns, READ_NS * 1e-9)
+        self.driver = PulseBridge(self.port, self.channels, self.port.now_ns, PULSES)
+
+    def cycle(self, count: int = 1, goals: int | np.ndarray | None = None, speed: int = 0) -> None:
+        """Run control cycles of an actuator: read, and send goals [ticks] if any."""
+        for _ in range(count):
+            before = self.torque
+            self.now_ns = max(self.now_ns + PERIOD_NS, self.port.now_ns())
+            self.board.advance(self.now_ns)
+            self.most_at_once = max(self.most_at_once, self.torque - before)
+            assert self.driver.poll(BUDGET_NS) == []
+            if goals is not None:
+                self.driver.sync_write_goals(np.broadcast_to(goals, (18,)), speed)
+
+    def on(self, goals: int = CENTRE) -> "Rig":
+        self.driver.setup()
+        self.cycle(3, goals)
+        self.driver.set_torque(True)
+        self.cycle(round(7 * LEG_US * 1000 / PERIOD_NS), goals)
+        assert (self.mode, self.torque, self.driver.trouble) == (Mode.ON, 18, "")
+        return self
+
+    @property
+    def torque(self) -> int:
+        return int(self.bank.column(TABLE.torque_enable).sum())
+
+    @property
+    def goals(self) -> np.ndarray:
+        return self.bank.column(TABLE.goal_position).astype(int)
+
+    @property
+    def mode(self) -> Mode:
+        assert self.driver.state is not None
+        return self.driver.state.mode
+
+
+@pytest.mark.parametrize("spread", [False, True])
+@pytest.mark.parametrize("torque", [True, False])
+def test_setup_adopts_the_pulses_and_changes_none(torque: bool, spread: bool) -> None:
+    rig = Rig(torque, spread)
+    before = rig.goals
+    rig.driver.setup()
+    rig.cycle(10)
+    assert rig.mode is (Mode.HOLDING if torque else Mode.OFF)
+    assert rig.torque == 18 * torque
+    assert (rig.goals == before).all()
+    channel = rig.channels[12]
+    assert rig.driver.read(channel, TABLE.torque_enable) == torque
+    goal = rig.driver.read(channel, TABLE.goal_position)
+    assert goal is not None
+    assert abs(goal - (CENTRE + 100 if torque else CENTRE)) <= NEAR_TICKS
+    condition = TABLE.condition
+    found = rig.driver.read_bytes(channel, condition.address, condition.size)
+    assert found is not None
+    assert condition.unpack(found) == (1, torque, goal, 1, 0, 0)
+
+
+def test_what_servos_do_not_measure_is_never_returned() -> None:
+    rig = Rig(torque=True)
+    assert rig.driver.newest_age_s == math.inf
+    rig.driver.setup()
+    rig.cycle(5)
+    assert all(rig.driver.read(3, register) is None for register in TABLE.measured)
+    assert rig.driver.missed.tolist() == [0] * 18
+    assert rig.driver.newest_age_s < 0.05
+    assert not rig.driver.trouble
+
+
+@pytest.mark.parametrize("spread", [False, True])
+def test_torque_comes_leg_by_leg_at_the_goals_sent_before(spread: bool) -> None:
+    rig = Rig(spread=spread)
+    rig.driver.setup()
+    rig.cycle(3, CENTRE + 200)
+    assert rig.torque == 0
+    for _ in range(2):  # as the actuator orders it
+        rig.driver.set_torque(True)
+    assert rig.driver.read(rig.channels[0], TABLE.torque_enable) is None, "not obeyed yet"
+    leg_cycles = LEG_US * 1000 // PERIOD_NS
+    rig.cycle(leg_cycles // 2, CENTRE + 200)
+    for leg in range(6):
+        assert rig.torque == 3 * (leg + 1)
+        assert rig.mode is Mode.CATCHING_UP
+        assert rig.driver.read(rig.channels[17], TABLE.torque_enable) == 1, "it waits for its first pulses"
+        assert f"{leg + 1} of 6" in rig.driver.trouble or leg == 5
+        rig.cycle(leg_cycles, CENTRE + 200)
+    assert rig.mode is Mode.ON
+    assert rig.most_at_once == 3
+    assert np.abs(rig.goals - CENTRE - 200).max() <= NEAR_TICKS
+    rig.cycle(5, CENTRE - 40)
+    assert np.abs(rig.goals - CENTRE + 40).max() <= NEAR_TICKS
+
+
+def test_torque_off_ends_all_pulses_in_any_state() -> None:
+    rig = Rig(torque=True)
+    rig.driver.set_torque(False)  # without a session
+    rig.cycle(2)
+    assert rig.torque == 0
+    rig = Rig().on()
+    rig.driver.set_torque(False)
+    rig.cycle(2, CENTRE)
+    assert (rig.torque, rig.mode) == (0, Mode.OFF)
+    assert rig.driver.read(4, TABLE.torque_enable) == 0
+    assert rig.driver.write(4, TABLE.torque_enable, 0)
+    rig.cycle(5, CENTRE)
+    assert rig.torque == 0, "goals do not turn it on"
+    rig.driver.set_torque(True)
+    rig.cycle(30, CENTRE)
+    assert 0 < rig.torque < 18
+    rig.driver.set_torque(False)
+    rig.cycle(100, CENTRE)
+    assert rig.torque == 0, "the other legs get none, either"
+
+
+def test_no_register_write_turns_torque_on_or_moves_a_servo() -> None:
+    rig = Rig()
+    rig.driver.setup()
+    rig.cycle(3, CENTRE)
+    assert not rig.driver.write(2, TABLE.torque_enable, 1)
+    assert not rig.driver.write(2, TABLE.goal_position, CENTRE)
+    for instruction in Instruction:
+        answer = rig.driver.answer(rig.driver.ask(2, instruction, 6, 4))
+        assert answer is not None
+        assert answer.result is Result.REFUSED
+    rig.driver._send(Limits(*rig.driver._head(), (0,) * 18))
+    rig.cycle(3)
+    assert rig.driver.state is not None
+    assert rig.driver.state.refusal is Refusal.QUESTION
+    assert rig.torque == 0
+
+
+def test_torque_on_needs_goals_near_the_pulses_that_are_there() -> None:
+    rig = Rig(torque=True)
+    rig.driver.setup()
+    rig.driver.set_torque(True)
+    rig.cycle(8)
+    assert rig.driver.state is not None
+    assert rig.driver.state.refusal is Refusal.NO_GOALS
+    rig = Rig(torque=True)
+    rig.driver.setup()
+    rig.driver.sync_write_goals([CENTRE + 900] * 18)
+    rig.driver.set_torque(True)
+    rig.now_ns = rig.port.now_ns()
+    rig.cycle(2)
+    assert rig.driver.state is not None
+    assert rig.driver.state.refusal is Refusal.FAR
+
+
+def test_pulses_stay_while_the_host_is_silent_and_distant_goals_are_caught_up() -> None:
+    rig = Rig().on()
+    rig.cycle(20)
+    assert (rig.mode, rig.torque) == (Mode.HOLDING, 18)
+    before, took = rig.goals, 0
+    while rig.mode is not Mode.ON or took < 3:
+        rig.cycle(1, CENTRE + 800)
+        took += 1
+        assert np.abs(rig.goals - before).max() <= 80, "30 deg/s, or the last 1.8 deg"
+        before = rig.goals
+    assert took > 30
+    assert np.abs(rig.goals - CENTRE - 800).max() <= NEAR_TICKS
+
+
+def test_a_host_that_is_silent_while_legs_get_their_torque_delays_the_others() -> None:
+    rig = Rig()
+    rig.driver.setup()
+    rig.cycle(3, CENTRE)
+    rig.driver.set_torque(True)
+    rig.cycle(10, CENTRE)
+    assert rig.torque == 3
+    rig.cycle(100)
+    assert (rig.torque, rig.mode) == (3, Mode.HOLDING)
+    rig.cycle(200, CENTRE)
+    assert rig.torque == 18
+    assert rig.most_at_once == 3
+
+
+def test_speed_limits_move_pulses_step_by_step() -> None:
+    rig = Rig().on()
+    speed = 10  # 1000 ticks/s
+    rig.cycle(1, CENTRE, speed)
+    before = rig.goals
+    for k in range(10):
+        rig.cycle(1, CENTRE + 150, speed)
+        assert (np.abs(rig.goals - before) <= 20 * k + 30).all()
+    rig.cycle(5, CENTRE + 150, speed)
+    assert np.abs(rig.goals - CENTRE - 150).max() <= NEAR_TICKS
+
+
+def test_chips_that_lose_their_power_give_no_torque_by_themselves() -> None:
+    rig = Rig(spread=True).on()
+    rig.chips.restart(rig.now_ns)
+    rig.cycle(50, CENTRE)
+    assert (rig.torque, rig.mode) == (0, Mode.OFF)
+    assert "the pulses of 18 servos are lost, as after a restart of their board" in rig.driver.trouble
+    assert rig.driver.read(3, TABLE.torque_enable) == 0
+    rig.driver.set_torque(True)
+    rig.cycle(round(7 * LEG_US * 1000 / PERIOD_NS), CENTRE)
+    assert (rig.torque, rig.mode, rig.driver.trouble) == (18, Mode.ON, "")
+
+
+def test_one_channel_without_pulses_stops_the_others_where_they_are() -> None:
+    rig = Rig().on()
+    rig.cycle(15)  # the board holds, and no goals give the channel its pulses again
+    rig.chips.receive(pca9685.frame(pca9685.write(0x40, pca9685.LED0 + 4 * 5, (0, 0, 0, pca9685.FULL))), rig.now_ns)
+    rig.cycle(10)
+    rig.cycle(10, CENTRE + 100)
+    assert (rig.torque, rig.mode) == (17, Mode.OFF)
+    assert "the pulses of 1 servos are lost" in rig.driver.trouble
+    assert np.abs(np.delete(rig.goals, 5) - CENTRE).max() <= NEAR_TICKS
+    assert [rig.driver.read(channel, TABLE.torque_enable) for channel in (4, 5)] == [1, 0]
+    rig.driver.sync_write_goals([CENTRE] * 18)
+    rig.driver.set_torque(True)
+    rig.cycle(100, CENTRE)
+    assert (rig.torque, rig.mode, rig.driver.trouble) == (18, Mode.ON, "")
+
+
+def test_a_restart_of_the_microcontroller_changes_no_pulses() -> None:
+    rig = Rig().on(CENTRE + 200)
+    rig.board.restart(rig.port.now_ns())
+    rig.cycle(60, CENTRE + 200)
+    assert (rig.driver.restarts, rig.mode, rig.torque) == (1, Mode.ON, 18)
+    assert np.abs(rig.goals - CENTRE - 200).max() <= NEAR_TICKS
+    rig.plug_in()
+    rig.driver.setup()
+    assert (rig.mode, rig.torque) == (Mode.HOLDING, 18)
+
+
+def test_silent_chips_are_reported_and_their_pulses_go_on() -> None:
+    rig = Rig().on()
+    rig.faults.inject(BusFault("bus", "silent", 0.0, 0.6), rig.now_ns)
+    rig.cycle(20, CENTRE)
+    assert "the board of the servos has been silent for" in rig.driver.trouble
+    assert rig.driver.lost["bridge: no answer"] > 0
+    assert rig.torque == 18
+    rig.cycle(30, CENTRE + 30)
+    assert rig.driver.trouble == ""
+    assert np.abs(rig.goals - CENTRE - 30).max() <= NEAR_TICKS
+
+
+def test_broken_answers_end_no_pulses() -> None:
+    rig = Rig().on()
+    rng, receive = np.random.default_rng(1000), rig.chips.receive
+
+    def spoil(data: bytes, now_ns: int) -> list[Reply]:
+        return [
+            reply._replace(data=bytes(byte ^ int(rng.integers(256)) if rng.random() < 0.02 else byte for byte in reply.data))
+            for reply in receive(data, now_ns)
+        ]
+
+    rig.chips.receive = spoil  # type: ignore[method-assign]
+    for k in range(100):
+        rig.cycle(1, CENTRE + k)
+        assert rig.torque == 18
+    assert rig.driver.lost["bridge: garbled packet"] > 0
+
+
+def test_board_with_other_pulses_is_refused() -> None:
+    rig = Rig()
+    other = replace(PULSES, us_per_rad=636.6)
+    driver = PulseBridge(rig.port, rig.channels, rig.port.now_ns, other)
+    words = "the bridge drives servos PWM 424400 1500 1000 us 50 Hz, the profile has PWM 636600 1500 1000 us 50 Hz; set SERVO"
+    with pytest.raises(BusSetupError, match=words):
+        driver.setup()
+
+
+def test_robot_at_a_maestro_has_no_bridge() -> None:
+    rig = Rig()
+    with pytest.raises(BusSetupError, match="a bridge to PCA9685 expected, found a Maestro in the profile printed_ds3218"):
+        on_port(PROFILE, Settings(bridge=True), rig.port, rig.port.now_ns)
+    profile = replace(PROFILE, servo=replace(PROFILE.servo, pulses=PULSES))
+    assert isinstance(on_port(profile, Settings(bridge=True), rig.port, rig.port.now_ns), PulseBridge)

@@ -1,0 +1,184 @@
+"""Pulses of the firmware are those of the host's driver for PCA9685, and no order but torque on begins them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.pulse_board import Pca9685Emulator
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
+from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import bridge_protocol, maestro, pca9685, pwm
+from sextant.shared.servo.bridge_protocol import ANGLE_RAD, First, Goals, Hello, Limits, Message, State, Torque
+from sextant.shared.servo.firmware import config, pulses
+from sextant.shared.servo.firmware.pulses import LEG_US, I2cMaster, PulseModel
+from sextant.shared.servo.pwm import TABLE, Pulses
+
+MS = 1_000_000
+PROFILE = load_profile("printed_ds3218")
+assert PROFILE.servo.pulses is not None
+PULSES = replace(PROFILE.servo.pulses, board="pca9685")
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        PULSES,
+        replace(PULSES, rate_hz=300.0),
+        replace(PULSES, us_per_rad=636.6, centre_us=1520.0, range_us=900.0, oscillator_mhz=26.3, device=0x44),
+    ],
+)
+def test_counts_are_those_of_the_host(found: Pulses) -> None:
+    ours, units = PulseModel(found.of_board), pwm.model_of(found).units
+    hertz = found.oscillator_mhz * 1e6
+    assert ours.scale == pca9685.pre_scale(found.rate_hz, hertz)
+    assert ours.address == (found.device or pca9685.ADDRESS)
+    assert len(ours.name) <= 32
+    count_us = pca9685.count_us(ours.scale, hertz)
+    for ticks in range(units.max_position + 1):
+        angle = round(units.angle(ticks) / ANGLE_RAD)
+        assert abs(ours.count(angle) - found.width_us(ticks) / count_us) < 1.0
+    for count in range(ours.count(-32767), ours.count(32767) + 1):
+        assert ours.count(ours.angle(count)) == count
+    assert ours.count(-32767) * count_us == pytest.approx(found.centre_us - found.range_us, abs=count_us)
+    assert ours.count(32767) * count_us == pytest.approx(found.centre_us + found.range_us, abs=count_us)
+
+
+def test_settings_and_registers_are_those_of_the_host() -> None:
+    assert PULSES.of_board == config.PULSES
+    assert pulses.NAME == pwm.NAME
+    assert (pulses._MODE1, pulses._MODE2, pulses._LED0) == (pca9685.MODE1, pca9685.MODE2, pca9685.LED0)
+    assert (pulses._ALL_LED, pulses._PRE_SCALE) == (pca9685.ALL_LED, pca9685.PRE_SCALE)
+    assert (pulses._SLEEP, pulses._AUTO_INCREMENT, pulses._FULL) == (pca9685.SLEEP, pca9685.AUTO_INCREMENT, pca9685.FULL)
+    assert (pulses._TOTEM_POLE, pulses._COUNTS, pulses.CHANNELS) == (pca9685.TOTEM_POLE, pca9685.COUNTS, pca9685.CHANNELS)
+
+
+def test_page_states_the_times_of_transfers() -> None:
+    page = (Path(__file__).parents[5] / "docs" / "firmware.md").read_text(encoding="utf-8")
+    byte_ms = 9 / 400
+    goals = sum(1 + len(pca9685.write(0x40, pca9685.LED0, bytes(4 * count)).data) for count in (16, 2))
+    assert f"the goals of 18 servos in two transfers take {goals * byte_ms:.2f} ms" in page
+    assert f"a channel that is read back {(1 + 1 + 1 + 4) * byte_ms:.2f} ms" in page
+    targets = len(maestro.set_multiple_targets(0, [6000] * 18, None))
+    assert f"18 targets are {targets} bytes, {targets * 1e4 / 115_200:.2f} ms" in page
+
+
+def test_answers_are_matched_in_order_and_missing_ones_counted() -> None:
+    master = I2cMaster()
+    read = pca9685.frame(pca9685.read(0x40, 6, 4))
+    assert master.ask(read, "first", 0) == read
+    assert master.hear(b"\1\2", 10) == []
+    assert master.hear(b"\3\4\5", 20) == [("first", 0, b"\2\3\4\5")]
+    master.ask(read, "second", 30)
+    assert master.hear(bytes(5), 40) == [("second", 30, None)], "not acknowledged"
+    master.ask(read, "third", 50)
+    assert master.hear(b"\1", 60) == []
+    assert master.hear(b"", 60 + pulses.TIMEOUT_US) == [("third", 50, None)]
+    master.ask(read, "fourth", 70)
+    master.forget()
+    assert master.hear(b"\1\2\3\4\5", 80) == []
+    assert (master.waits, master.silent) == (False, 2)
+
+
+class Bench:
+    """A board with four servos at two chips, and the actions of a host."""
+
+    def __init__(self, torque: bool) -> None:
+        self.ids = bytes((0, 1, 15, 16))
+        self.bank = make_servo_bank(replace(PROFILE.servo, pulses=PULSES), tuple(self.ids), np.zeros(4))
+        self.bank.column(TABLE.torque_enable)[:] = torque
+        self.chips = Pca9685Emulator(self.bank, PULSES)
+        self.board = Board(self.chips, model=self.bank.model, pulses=PULSES)
+        self.now_ns = self.sequence = 0
+        self.receiver = bridge_protocol.Receiver(bridge_protocol.TO_HOST)
+
+    def pass_time(self, ms: int, message: Message | bytes = b"") -> list[Message]:
+        data = message if isinstance(message, bytes) else bridge_protocol.encode(message)
+        replies = self.board.receive(data, self.now_ns)
+        for _ in range(0, ms, 5):
+            self.now_ns += 5 * MS
+            replies += self.board.unsolicited_replies(self.now_ns)
+            self.board.advance(self.now_ns)
+        self.chips.advance(self.now_ns + 20 * MS)
+        return [message for reply in replies for message in self.receiver.feed(reply.data)]
+
+    def head(self) -> tuple[int, int, int]:
+        self.sequence += 1
+        return 7, self.sequence, self.now_ns // 1000 + 1_000_000
+
+    @property
+    def torque(self) -> list[int]:
+        return self.bank.column(TABLE.torque_enable).tolist()  # type: ignore[no-any-return]
+
+
+ORDERS = st.lists(
+    st.tuples(
+        st.sampled_from(["goals", "on", "off", "limits", "first", "hello", "new hello", "restart", "wait", "noise"]),
+        st.tuples(*[st.integers(-3000, 3000)] * 4),
+        st.integers(1, 700),
+        st.binary(max_size=30),
+    ),
+    max_size=20,
+)
+
+
+@pytest.mark.slow
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(ORDERS, st.booleans())
+def test_random_orders_begin_pulses_only_by_torque_order(
+    orders: list[tuple[str, tuple[int, int, int, int], int, bytes]], torque: bool
+) -> None:
+    bench = Bench(torque)
+    bench.pass_time(50, Hello(bridge_protocol.VERSION, 7, 1_000_000, bench.ids))
+    assert bench.torque == [int(torque)] * 4
+    ordered = False
+    for what, words, ms, noise in orders:
+        before = bench.torque
+        message: Message | bytes
+        match what:
+            case "goals":
+                message = Goals(*bench.head(), 200, words, (0,) * 4)
+            case "on" | "off":
+                message = Torque(*bench.head(), int(what == "on"))
+            case "limits":
+                message = Limits(*bench.head(), (0,) * 4)
+            case "first":
+                message = First(*bench.head(), bench.ids)
+            case "hello" | "new hello":
+                session = 7 if what == "hello" else 7 + ms
+                message = Hello(bridge_protocol.VERSION, session, bench.now_ns // 1000 + 1_000_000, bench.ids)
+            case "restart":
+                bench.chips.restart(bench.now_ns)
+                message, before = b"", [0] * 4
+            case _:
+                message = b"\0" + noise + b"\0" if what == "noise" else b""
+        bench.pass_time(ms, message)
+        ordered = what == "on" or (ordered and what not in ("off", "restart"))
+        if not ordered:
+            assert all(now <= then for now, then in zip(bench.torque, before, strict=True)), what
+        if what == "off":
+            assert not any(bench.torque)
+
+
+def test_first_pulses_are_the_goals_and_each_leg_waits_for_the_one_before() -> None:
+    bench = Bench(torque=False)
+    bench.pass_time(50, Hello(bridge_protocol.VERSION, 7, 1_000_000, bench.ids))
+    bench.pass_time(10, Goals(*bench.head(), 200, (100, 200, 300, 400), (0,) * 4))
+    bench.pass_time(10, Torque(*bench.head(), 1))
+    assert bench.torque == [1, 1, 1, 0]
+    units = bench.bank.model.units
+    angles = [units.angle(int(ticks)) / ANGLE_RAD for ticks in bench.bank.column(TABLE.goal_position)[:3]]
+    assert angles == pytest.approx([100, 200, 300], abs=60)
+    said: list[Message] = []
+    for _ in range(LEG_US // 20_000 - 3):
+        said = bench.pass_time(20, Goals(*bench.head(), 200, (100, 200, 300, 400), (0,) * 4))
+    assert bench.torque == [1, 1, 1, 0]
+    ages = [message.age for message in said if isinstance(message, State)][-1]
+    assert [age == bridge_protocol.NEVER for age in ages] == [False, False, False, True]
+    for _ in range(5):
+        bench.pass_time(20, Goals(*bench.head(), 200, (100, 200, 300, 400), (0,) * 4))
+    assert bench.torque == [1, 1, 1, 1]
