@@ -377,5 +377,7 @@ def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
     row: dict[str, object] = {"id": seen.servo_id, "baud": one.rate, "joint": profile.servo_names.get(seen.servo_id, "")}
     if seen.response is not BusResponse.CLEAR:
         return row | {"problem": seen.response.value}
+    if not seen.is_alike:
+        return row | {"model": seen.model}
     measured = {"voltage": round(seen.voltage, 1), "temperature": seen.temperature}
     return row | {"model": seen.model, "firmware": seen.firmware, **measured}

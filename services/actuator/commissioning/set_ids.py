@@ -141,8 +141,8 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
         if seen.response is not BusResponse.CLEAR:
             lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.response.value}")
             continue
-        if seen.identified and seen.identified.table.of_bus != seen.expected.table.of_bus:
-            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<10}")  # its measurements are in other registers
+        if not seen.is_alike:
+            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model}")
             continue
         firmware = "-" if seen.firmware is None else f"{seen.firmware}"
         measured = f"{seen.voltage:>5.1f} V  {seen.temperature:>5.0f} deg C"
@@ -155,7 +155,7 @@ def holding(found: Sequence[Found], profile: RobotProfile) -> str:
     pulling = [
         one.seen.servo_id
         for one in found
-        if one.seen.response is BusResponse.CLEAR and one.seen[one.seen.expected.table.torque_enable]
+        if one.seen.response is BusResponse.CLEAR and one.seen[(one.seen.identified or one.seen.expected).table.torque_enable]
     ]
     if not pulling:
         return ""
@@ -257,7 +257,13 @@ def set_ids(
         operator.say(": ".join(echo))
         return False
     done: set[int] = set()  # in this session, plugged in or not
-    found = _completed(line, _likely(line, profile), profile, operator)
+    found = _likely(line, profile)
+    if found and all(_is_foreign(one, profile) for one in found):
+        first = found[0].seen.servo_id
+        _is_model_of(
+            found[0], first if first in profile.servo_names else min(profile.servo_names), profile, operator, is_first=True
+        )
+    found = _completed(line, found, profile, operator)
     while True:
         done |= {one.seen.servo_id for one in found if _is_set(one, profile)}
         missing = sorted((i for i in profile.servo_names if i not in done), key=lambda i: i == FACTORY_ID)
@@ -292,13 +298,18 @@ def _likely(line: Line, profile: RobotProfile, done: Collection[int] = ()) -> li
     return scan(line, sorted({FACTORY_ID, *profile.servo_names}), known={FACTORY_ID, *done})
 
 
+def _is_foreign(one: Found, profile: RobotProfile) -> bool:
+    """Return whether a servo tells a model that is none of the robot's."""
+    return one.seen.response is BusResponse.CLEAR and all(one.seen.number != i.number for i in profile.servo_models.values())
+
+
 def _is_model_of(new: Found, target: int, profile: RobotProfile, operator: Operator, *, is_first: bool) -> bool:
     """Return whether a servo may be of the model of a joint; otherwise tell the operator, or raise OtherServosError."""
     seen, wanted = new.seen, profile.servo_models[target]
     if seen.response is not BusResponse.CLEAR or seen.number == wanted.number:
         return True
     words = f"servo {seen.servo_id} is {seen.model}, {wanted.name} expected for the {profile.servo_names[target]}"
-    if any(seen.number == model.number for model in profile.servo_models.values()):
+    if not _is_foreign(new, profile):
         operator.say(f"{words}: it is unchanged; plug in another one, or type the leg and joint of this one")
     else:
         _refuse(words, OTHER_ROBOT, operator, is_first=is_first)

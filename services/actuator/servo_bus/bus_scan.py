@@ -12,9 +12,9 @@ from typing import NamedTuple, Protocol
 
 from sextant.services.actuator.servo_bus import other_device
 from sextant.services.actuator.servo_bus.attempts import ATTEMPTS, retry
+from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
-from sextant.shared.servo.models import MODELS
-from sextant.shared.servo.servo_model import ControlTable, Register, ServoError, ServoModel, error_words
+from sextant.shared.servo.servo_model import Register, ServoError, ServoModel, error_words
 
 FACTORY_ID = 1  # of all makers
 _FEW = 3  # servos that are named one by one
@@ -115,10 +115,14 @@ class ServoScan:
     @property
     def identified(self) -> ServoModel | None:
         """Expected or known model with the packets of the expected one, whose number is in its own place of the table."""
-        start = self.expected.protocol.answer_start
-        alike = [self.expected, *(one for one in MODELS if one.protocol.answer_start is start)]
+        alike = [self.expected, *models_alike(self.expected)]
         alike.sort(key=lambda one: one.table.of_bus != self.expected.table.of_bus)
         return next((one for one in alike if self[one.table.model_number] == one.number), None)
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether its registers are where the expected model has them, as far as is known; else its measurements are not."""
+        return self.identified is None or self.identified.table.of_bus == self.expected.table.of_bus
 
     @property
     def number(self) -> int:
@@ -167,8 +171,9 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
         return ServoScan(servo_id, BusResponse.DOUBLED, expected)
     if model is None:
         return ServoScan(servo_id, BusResponse.MUTE, expected)
-    garbled, there = bus.garbled, _table_of(expected, model)
-    eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (there.eeprom, there.ram))
+    other = None if model == expected.number else told_model(bus, servo_id, expected).model
+    garbled, there = bus.garbled, other.table if other else table
+    eeprom, ram = (_read(bus, servo_id, block, table.size) for block in (there.eeprom, there.ram))
     if eeprom is None or ram is None:  # same models answer alike to the model number, but their measurements differ
         return ServoScan(servo_id, BusResponse.DOUBLED if bus.garbled > garbled else BusResponse.FADING, expected)
     contents = bytes(there.eeprom.start) + eeprom + bytes(there.ram.start - there.eeprom.stop) + ram
@@ -178,12 +183,11 @@ def scan_servo(bus: Bus, servo_id: int, *, listen: bool = True) -> ServoScan | N
     return found
 
 
-def _table_of(expected: ServoModel, number: int) -> ControlTable:
-    """Return the control table of a servo that tells this model number where the expected one has it."""
-    alike = (
-        one for one in MODELS if one.protocol is expected.protocol and one.table.model_number == expected.table.model_number
-    )
-    return expected.table if number == expected.number else next((o.table for o in alike if o.number == number), expected.table)
+def _read(bus: Bus, servo_id: int, block: range, most: int) -> bytes | None:
+    """Return the bytes at some addresses, at most `most` in an answer; None if the servo does not answer."""
+    parts = [block[k : k + most] for k in range(0, len(block), most)]
+    found = [retry(partial(bus.read_bytes, servo_id, part.start, len(part))) for part in parts]
+    return None if None in found else b"".join(filter(None, found))
 
 
 def _crowded(bus: Bus, servo_id: int) -> bool:
