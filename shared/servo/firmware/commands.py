@@ -6,7 +6,7 @@ the time reads the others in turn, and ten times a second a voltage or a tempera
 """
 
 from . import wire
-from .bridge import _ADOPTED, _STATE, AFTER_GOALS_US, FAR, Firmware, _Servo
+from .bridge import _ADOPTED, _STATE, AFTER_GOALS_US, FAR, FRESH_US, Firmware, _Servo
 from .packets import BROADCAST_ID, READS, WRITES
 
 GOALS_US = 20_000  # [us] period of the host's goals
@@ -123,7 +123,7 @@ class CommandFirmware(Firmware):
             if packet:
                 return packet
             if self._urgent and self._now_us >= self._urgent_us:
-                self._to_read = [(self._urgent.pop(0), _STATE, 1)]
+                self._to_read = [self._reading_of(self._urgent.pop(0))]
                 return self._next_reading()
         return super()._next_packet()
 
@@ -144,7 +144,12 @@ class CommandFirmware(Firmware):
             self._next = (self._next + 1) % count
             if self._servos[self._next] not in self._ahead:
                 break
-        return self._servos[self._next], _STATE, 1
+        return self._reading_of(self._servos[self._next])
+
+    def _reading_of(self, servo: _CommandServo) -> tuple:
+        """Return the reading of a position; one that gets lost is repeated, but not that of a silent servo."""
+        answers = servo.asked_us is not None and self._now_us - servo.asked_us < FRESH_US
+        return servo, _STATE, 2 if answers else 1
 
     def _goals_packet(self) -> bytes:
         """Return the packet of the next goal. New goals replace those that wait, but not while torque on waits for them."""

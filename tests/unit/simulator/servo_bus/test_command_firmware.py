@@ -3,6 +3,8 @@
 A recorder on the bus checks it.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -342,6 +344,30 @@ def test_silent_servo_and_wrong_answers_do_not_stop_the_others() -> None:
     state = [m for m in said if isinstance(m, State)][-1]
     assert min(state.age) > 4000, "a position that no servo has is none"
     assert state.garbled > garbled
+
+
+def test_lost_readings_are_repeated_but_not_those_of_a_silent_servo() -> None:
+    bench, rng, receive = on(18), np.random.default_rng(1000), ServoBusEmulator.receive
+    bench.bus.cut_off(frozenset((5,)))
+
+    def lose(data: bytes, now_ns: int) -> list[Reply]:
+        bench.bus.heard += [(now_ns, packet) for packet in bench.bus._listener.feed(data)]
+        replies = receive(bench.bus, data, now_ns)
+        return [] if data[4] == Command.POS_READ and rng.random() < 0.1 else replies
+
+    bench.bus.receive = lose  # type: ignore[method-assign]
+    oldest = np.zeros(18)
+    for k in range(100):
+        said = bench.pass_time(20 * MS, bench.to((round(2 * k * TICK),) * 18))
+        if k > 20:
+            oldest = np.maximum(oldest, [m for m in said if isinstance(m, State)][-1].age)
+    assert np.delete(oldest, 5).max() < 3000, "0.1 ms"
+    assert oldest[5] > 15_000
+    asked = [packet.servo_id for at_ns, packet in bench.bus.heard if packet.code == Command.POS_READ][-300:]
+    repeated = [one for one, before in itertools.pairwise(asked) if one == before]
+    assert 6 in asked
+    assert 6 not in repeated
+    assert len(repeated) > 10
 
 
 def test_voltage_and_temperature_of_each_servo_come_in_turn() -> None:
