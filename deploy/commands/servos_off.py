@@ -107,7 +107,7 @@ def _of_others(bus: Bus, profile: "RobotProfile") -> "OtherServos | None":
 
 def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool) -> None:
     """Report the servos that did not confirm torque off, and how many did."""
-    from sextant.services.actuator.servo_bus.bus_scan import named
+    from sextant.services.actuator.servo_bus.bus_scan import Problem, grouped
 
     count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
     alike = set(left.values())
@@ -115,8 +115,9 @@ def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool)
         bridge = "" if bridged else f"{_ADD_BRIDGE}; otherwise "
         say(f"each of {count} servos {alike.pop()}\n  -> {bridge}switch their power off")
     else:
-        for servo_id, words in left.items():
-            say(f"{named(servo_id, profile.servo_names)} {words}\n  -> check its cable, or switch the servos' power off")
+        found = {i: Problem(words, "check the cable, or switch the servos' power off") for i, words in left.items()}
+        for words, advice in dict.fromkeys(grouped(found, profile.servo_names).values()):
+            say(f"{words}\n  -> {advice}")
     say(f"{off} of {count} servos confirm torque off" if left else f"torque is off: confirmed by {off} of {count} servos")
 
 

@@ -214,21 +214,23 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
 
 def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
     """Check voltage, temperature and error registers of working servos."""
-    from sextant.services.actuator.servo_bus.bus_scan import WARM, error_of, named
+    from sextant.services.actuator.servo_bus.bus_scan import Problem, grouped, named
+    from sextant.services.actuator.servo_bus.servo_health import WARM, error_of, span
 
     if not seen:
         return
     names, low = profile.servo_names, profile.battery.warn_voltage
     volts, degrees = sorted(one.voltage for one in seen), [one.temperature for one in seen]
     advice = f"charge the battery to at least {low:g} V" if volts[0] < low else ""
-    yield Check("servo voltage", Level.WARN if advice else Level.OK, f"{volts[0]:.1f} to {volts[-1]:.1f} V", advice)
+    yield Check("servo voltage", Level.WARN if advice else Level.OK, f"{span(volts, 1)} V", advice)
     warm = [one for one in seen if one.temperature > one[one.expected.table.temperature_limit] - WARM]
     words = ", ".join(named(one.servo_id, names) for one in warm)
-    found = f"{min(degrees):.0f} to {max(degrees):.0f} deg C" + (f"; near their limit: {words}" if warm else "")
+    found = f"{span(degrees, 0)} deg C" + (f"; near their limit: {words}" if warm else "")
     yield Check("servo temperature", Level.WARN if warm else Level.OK, found, "let the servos cool down" if warm else "")
-    errors = [f"{named(one.servo_id, names)} reports {words}" for one in seen if (words := error_of(one))]
+    errors = {one.servo_id: Problem(f"reports {words}", "") for one in seen if (words := error_of(one))}
     if errors:
-        yield Check("servo errors", Level.FAIL, "; ".join(errors), "switch their power off and on again")
+        each = dict.fromkeys(problem.words for problem in grouped(errors, names).values())
+        yield Check("servo errors", Level.FAIL, "; ".join(each), "switch their power off and on again")
 
 
 def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:

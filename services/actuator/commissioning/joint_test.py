@@ -11,7 +11,8 @@ from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
 from sextant.services.actuator.commissioning.watched_motion import AGAIN, seen_problem, way_in_words
 from sextant.services.actuator.servo_bus.attempts import retry
-from sextant.services.actuator.servo_bus.bus_scan import BusResponse, health_problem, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import BusResponse, scan_servo
+from sextant.services.actuator.servo_bus.servo_health import health_problem
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.servo.servo_model import Block, Feedback, signed

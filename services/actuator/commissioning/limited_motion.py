@@ -10,7 +10,8 @@ import numpy as np
 
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.attempts import retry
-from sextant.services.actuator.servo_bus.bus_scan import ServoScan, call, health_problem, named, problems
+from sextant.services.actuator.servo_bus.bus_scan import ServoScan, call, named, problems
+from sextant.services.actuator.servo_bus.servo_health import health_problems
 from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.errors import SextantError
@@ -46,9 +47,8 @@ def ready(bus: AnyBus, profile: RobotProfile, operator: Operator) -> bool:
     wrong = problems(profile.servo_names, seen)
     low = profile.battery.warn_voltage
     told = [f"{words}: {advice}" for words, advice in dict.fromkeys(wrong.values())]
-    told += [
-        f"{named(i, bus.names)} {words}" for i, one in seen.items() if i not in wrong and (words := health_problem(one, low))
-    ]
+    well = {i: one for i, one in seen.items() if i not in wrong}
+    told += [problem.words for problem in health_problems(well, low, bus.names)]
     if told:
         operator.say("the servos are not ready, nothing was moved:\n  " + "\n  ".join(told))
         return False

@@ -12,12 +12,13 @@ import numpy as np
 from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import (
     FACTORY_ID,
+    OTHER_ROBOT,
     SET_ID,
     BusResponse,
     Problem,
     ServoScan,
     ensure,
-    health_problem,
+    grouped,
     is_unassigned,
     named,
     problems,
@@ -26,7 +27,7 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     wake,
     wrong_settings,
 )
-from sextant.services.actuator.servo_bus.triage import OTHER_ROBOT
+from sextant.services.actuator.servo_bus.servo_health import health_problems
 from sextant.shared.errors import SextantError
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import ServoModel
@@ -190,14 +191,13 @@ def verdict(
             reset = f"; {reset_servos(missing, names)}" if seen.servo_id == FACTORY_ID and missing else ""
             words = f"servo {seen.servo_id} answers at {rate} baud, {usual} expected{reset}"
             wrong[-seen.servo_id - 1] = Problem(words, "`sextant servos set-id` sets its rate")
-    for i, seen in heard.items():
-        if (
-            seen.response is BusResponse.CLEAR
-            and i not in wrong
-            and (words := health_problem(seen, profile.battery.warn_voltage))
-        ):
-            wrong[i] = Problem(f"{named(i, names)} {words}", "correct this before anything moves")
-    return [*unanswered, *dict.fromkeys(wrong.values()), *hampered((seen for i, seen in heard.items() if i in names), profile)]
+    well = {i: seen for i, seen in heard.items() if seen.response is BusResponse.CLEAR and i not in wrong}
+    return [
+        *unanswered,
+        *dict.fromkeys(wrong.values()),
+        *health_problems(well, profile.battery.warn_voltage, names),
+        *hampered((seen for i, seen in heard.items() if i in names), profile),
+    ]
 
 
 def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
@@ -205,7 +205,8 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
 
     This is advice: the actuator works with them.
     """
-    reach, found, servos = _reach(profile), [], dict(zip(profile.servo_ids.ravel().tolist(), profile.servos.each, strict=True))
+    found: dict[int, Problem] = {}
+    reach, servos = _reach(profile), dict(zip(profile.servo_ids.ravel().tolist(), profile.servos.each, strict=True))
     for one in seen:
         model = one.expected
         if one.response is BusResponse.CLEAR and one.number == model.number and not one.is_wheel:
@@ -216,8 +217,8 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
                 if one[register] != value
             ]
             words = "; ".join(dict.fromkeys(told))
-            found += [Problem(f"{named(one.servo_id, profile.servo_names)} {words}", _UNLESS_MEANT)] if words else []
-    return found
+            found |= {one.servo_id: Problem(words, _UNLESS_MEANT)} if words else {}
+    return list(dict.fromkeys(grouped(found, profile.servo_names).values()))
 
 
 def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
@@ -259,10 +260,8 @@ def set_ids(
     done: set[int] = set()  # in this session, plugged in or not
     found = _likely(line, profile)
     if found and all(_is_foreign(one, profile) for one in found):
-        first = found[0].seen.servo_id
-        _is_model_of(
-            found[0], first if first in profile.servo_names else min(profile.servo_names), profile, operator, is_first=True
-        )
+        target = next(i for i in (found[0].seen.servo_id, *profile.servo_names) if i in profile.servo_names)
+        _is_model_of(found[0], target, profile, operator, is_first=True)
     found = _completed(line, found, profile, operator)
     while True:
         done |= {one.seen.servo_id for one in found if _is_set(one, profile)}

@@ -20,9 +20,10 @@ from sextant.services.actuator.commissioning.limited_motion import (
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.attempts import retry
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import error_of, named, problems, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import named, problems, scan_servo
 from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
+from sextant.services.actuator.servo_bus.servo_health import error_of
 from sextant.services.actuator.servo_bus.triage import Opener, usual_rates
 from sextant.shared.errors import SextantError
 from sextant.shared.servo.models import MODELS

@@ -73,6 +73,7 @@ class BusResponse(StrEnum):
 _LOCKED = "its EEPROM may be locked until its power is cycled"
 SET_ID = "run `sextant servos set-id` with this servo alone on the bus"
 ALSO_ASKS = "`sextant servos scan` also tries other baud rates and protocols"
+OTHER_ROBOT = "give --robot your_robot.toml, a profile with these servos; `sextant robot new` makes one"
 _PROTECTION = int(ServoError.OVERLOAD | ServoError.OVERHEATING)
 _REMEDIES = {
     BusResponse.DOUBLED: f"unplug one of the two, and give the other another id: {SET_ID}",
@@ -87,7 +88,6 @@ NO_ECHO = Problem(
     "the adapter does not return what is sent",
     "turn the echo setting off, which is --echo or actuator.echo; if this adapter echoes, check its power",
 )
-WARM = 10.0  # [deg C] below its limit from which a servo is too warm to start
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +118,11 @@ class ServoScan:
         alike = [self.expected, *models_alike(self.expected)]
         alike.sort(key=lambda one: one.table.of_bus != self.expected.table.of_bus)
         return next((one for one in alike if self[one.table.model_number] == one.number), None)
+
+    @property
+    def is_other_model(self) -> bool:
+        """Whether it tells another model than the expected one."""
+        return self.response is BusResponse.CLEAR and self.number != self.expected.number
 
     @property
     def is_alike(self) -> bool:
@@ -232,17 +237,35 @@ def problems(names: Mapping[int, str], seen: Mapping[int, ServoScan]) -> dict[in
     if FACTORY_ID not in found and is_unassigned(seen, names):
         words = f"has factory settings, so it may be a new servo of another joint; {reset_servos(missing, names)}"
         found[FACTORY_ID] = Problem(words, f"{SET_ID}, and type the leg and joint where it is mounted")
-    alone = _shared(found, names) or {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
-    wrong = alone | unreachable(missing, names)
+    if names and all(i in found and seen[i].is_other_model for i in names):
+        found |= {i: found[i]._replace(advice=OTHER_ROBOT) for i in names}
+    wrong = grouped(found, names) | unreachable(missing, names)
     return {i: wrong[i] for i in (*names, *wrong) if i in wrong}
 
 
-def _shared(found: Mapping[int, Problem], names: Mapping[int, str]) -> dict[int, Problem]:
-    """Return one problem for all of a robot's servos if all have the same, else nothing."""
-    if found.keys() != names.keys() or len(found) < 2 or len(set(found.values())) > 1:
-        return {}
-    words, advice = next(iter(found.values()))
-    return dict.fromkeys(found, Problem(f"each of the {len(found)} servos {words}", advice))
+def grouped(found: Mapping[int, Problem], names: Mapping[int, str]) -> dict[int, Problem]:
+    """Return the problems of servos with their subjects: many servos with the same problem share one.
+
+    Args:
+        found: Problems by id, without a subject, as "is in wheel mode".
+        names: Id -> leg and joint of the robot's servos.
+    """
+    alike: dict[Problem, list[int]] = {}
+    for i, problem in found.items():
+        alike.setdefault(problem, []).append(i)
+    whole = {
+        problem: Problem(f"{many} {problem.words}", problem.advice)
+        for problem, ids in alike.items()
+        if (many := each_of(ids, names))
+    }
+    return {i: whole.get(one) or Problem(f"{named(i, names)} {one.words}", one.advice) for i, one in found.items()}
+
+
+def each_of(ids: Collection[int], names: Mapping[int, str]) -> str:
+    """Return many servos, or all of a robot, as the subject of a sentence; "" for few servos, which have names."""
+    if len(ids) > 1 and set(ids) == set(names):
+        return f"each of the {len(ids)} servos"
+    return f"each of {len(ids)} servos (ids {', '.join(map(str, sorted(ids)))})" if len(ids) > _FEW else ""
 
 
 def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str]) -> bool:
@@ -334,7 +357,7 @@ def _wrong(seen: ServoScan) -> Problem | None:
     model = seen.expected
     if seen.response is not BusResponse.CLEAR:
         return Problem(seen.response.value, _REMEDIES[seen.response])
-    if seen.number != model.number:
+    if seen.is_other_model:
         found = seen.identified
         which = f"{found.number} ({found.name})" if found else f"{seen.number} (unknown)"
         words = f"is model {which}, expected {model.number} ({model.name})"
@@ -380,33 +403,6 @@ def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -
         (unguarded, Setting(table.shutdown, guarded, bare)),
     )
     return [setting for wrong, setting in settings if wrong]
-
-
-def health_problem(seen: ServoScan, low: float) -> str:
-    """Return abnormal voltage, temperature and errors of a servo, or an empty string.
-
-    Args:
-        seen: The servo.
-        low: [V] lowest voltage, from the profile's battery.
-    """
-    limit, error = seen[seen.expected.table.temperature_limit], error_of(seen)
-    return "; ".join(
-        words
-        for words, wrong in (
-            (f"reports {error}; switch its power off and on again", error),
-            (f"has {seen.voltage:.1f} V, at least {low:.1f} V expected: charge the battery", seen.voltage < low),
-            (f"is {seen.temperature:.0f} deg C hot, its limit is {limit}: let it cool", seen.temperature > limit - WARM),
-        )
-        if wrong
-    )
-
-
-def error_of(seen: ServoScan) -> str:
-    """Return shutdown reason, errors and reduced torque limit, or an empty string."""
-    table, share = seen.expected.table, 100 * seen.expected.units.torque
-    weak = seen[table.torque_limit] < seen[table.max_torque]
-    left = f"a torque limit of {share * seen[table.torque_limit]:.0f} %" if weak else ""
-    return ", ".join(filter(None, (error_words(seen.error), left)))
 
 
 def prepare(bus: Bus, seen: ServoScan, lock: bool) -> str:

@@ -6,13 +6,12 @@ from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, OTHER_ROBOT, Problem
 from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
-OTHER_ROBOT = "give --robot your_robot.toml, a profile with these servos; `sextant robot new` makes one"
 USUAL_IDS = range(1, 19)  # of bus servos on the port of a robot with hobby servos
 _FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
 _RATE_TOLERANCE = 0.03  # [1] relative difference of two rates up to which bytes are received correctly

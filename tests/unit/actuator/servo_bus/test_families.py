@@ -9,7 +9,8 @@ import pytest
 
 from sextant.services.actuator.servo_bus import shutdown
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
-from sextant.services.actuator.servo_bus.bus_scan import error_of, prepare, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import prepare, scan_servo
+from sextant.services.actuator.servo_bus.servo_health import error_of
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo.dynamixel2 import Instruction
 from sextant.shared.servo.models import MODELS

@@ -71,8 +71,8 @@ def test_closed_network_port_fails() -> None:
 def test_healthy_robot_only_lacks_calibration(bench: BenchEmulator) -> None:
     checks = run_checks(bench)
     assert checks["servo port"].found == "all 18 servos answer"
-    assert checks["servo voltage"].found == "12.5 to 12.5 V"
-    assert checks["servo temperature"].found == "25 to 25 deg C"
+    assert checks["servo voltage"].found == "12.5 V"
+    assert checks["servo temperature"].found == "25 deg C"
     assert checks["latency timer"].found == "none"
     assert {name for name, check in checks.items() if check.level is not Level.OK} == {"calibration"}
 
@@ -147,6 +147,15 @@ def test_enabled_torque_is_reported_as_ok(bench: BenchEmulator) -> None:
     bench._servos.tables[:, dxl.TORQUE_ENABLE.address] = 1
     check = run_checks(bench)["servo port"]
     assert (check.level, check.found) == (Level.OK, "all 18 servos answer; torque is on at 18 of them")
+
+
+def test_what_all_servos_have_in_common_is_reported_once(bench: BenchEmulator) -> None:
+    bench._servos._latched_errors[:] = ServoError.OVERLOAD
+    for row in range(18):
+        bench._servos.write(row, dxl.SHUTDOWN.address, b"\x04")
+    checks = run_checks(bench)
+    assert checks["servo errors"].found.startswith("each of the 18 servos reports overload")
+    assert checks["servo settings"].found == "each of the 18 servos does not shut down for overload"
 
 
 def test_changed_shutdown_settings_warn(bench: BenchEmulator) -> None:
