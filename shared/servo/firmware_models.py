@@ -7,13 +7,13 @@ writes the table; a test compares it.
 
 import sys
 
-from sextant.shared.servo import dynamixel, dynamixel2, feetech, lewansoul
+from sextant.shared.servo import dynamixel, dynamixel2, feetech, feetech_scs, lewansoul
 from sextant.shared.servo.firmware import wire
 from sextant.shared.servo.lx16a import READS, WRITES, Command
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Block, Register, ServoModel, Sign
 
-_PROTOCOLS = {dynamixel.NAME: 1, feetech.NAME: 1, dynamixel2.NAME: 2, lewansoul.NAME: 3}
+_PROTOCOLS = {dynamixel.NAME: 1, feetech.NAME: 1, dynamixel2.NAME: 2, lewansoul.NAME: 3, feetech_scs.NAME: 4}
 _SCALE = 1 << 14
 _COMPLEMENT = -1  # as in servo.py, which cannot be imported before the table exists
 _HEAD = '''"""Servo models, computed from those of the host: see `sextant.shared.servo.firmware_models`."""
@@ -50,13 +50,14 @@ def layout(model: ServoModel) -> tuple[object, ...]:
     measured = (*signs, (table.present_voltage, None), (table.present_temperature, None))
     fields = tuple(_field(register, state, sign) for register, sign in measured)
     kept = ((table.torque_enable, None), (table.goal_position, None), position)
+    limit = table.torque_limit
     return (
         _PROTOCOLS[protocol.NAME],
         table.size,
         _errors(model),
         _hardware_errors(model),
         table.torque_enable.address,
-        (table.torque_limit.address, table.torque_limit.size, table.torque_limit.max, _unit(units.torque, wire.LOAD)),
+        (limit.address, limit.size, limit.max, _unit(units.torque, wire.LOAD)) if model.has(limit) else (0, 0, 0, 0),
         (
             goals.address,
             goals.size,

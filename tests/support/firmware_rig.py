@@ -176,7 +176,7 @@ class FirmwareRig:
     def registers(self, name: str) -> list[int]:
         """Return a register of all servos, by its role in the control table."""
         register = getattr(self.model.table, name)
-        return [int.from_bytes(self.bank.read(row, register.address, register.size), "little") for row in range(self.count)]
+        return [register.decode(self.bank.read(row, register.address, register.size)) for row in range(self.count)]
 
     def cycle(self, count: int, goals: float | None = None) -> None:
         """Run cycles of an actuator that sends goals [rad] for all servos; without goals it only reads."""

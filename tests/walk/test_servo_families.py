@@ -64,6 +64,13 @@ def test_robot_of_the_smallest_servos_walks_over_courses_of_its_size(measures: M
     walk(robot, course.name, course.goal.distance)
 
 
+@pytest.mark.rare
+def test_robot_of_the_lightest_servos_walks_with_a_microcontroller_between() -> None:
+    robot = new_profile("smallest", LIGHTEST)
+    course = load_scenario("steps").scaled(leg_scale(robot))
+    walk(robot, course.name, course.goal.distance, bridge=True)
+
+
 def test_robot_lighter_than_a_kilogram_feels_level_ground_and_walks() -> None:
     robot = new_profile("smallest", SMALLEST)
     walk(robot, "flat", 0.3)

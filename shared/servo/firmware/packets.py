@@ -1,4 +1,4 @@
-"""Packets of the servo buses on the board: Dynamixel Protocol 1.0, which Feetech STS servos use too, 2.0, and LewanSoul.
+"""Packets of the servo buses on the board: Dynamixel Protocol 1.0, which Feetech servos use too, 2.0, and LewanSoul.
 
 Sources and details are in `sextant.shared.servo.dynamixel`, `dynamixel2` and `lx16a`; tests compare the two byte for byte.
 """

@@ -15,7 +15,8 @@ _HALF = _ONE >> 1
 _COMPLEMENT = -1  # coding of negative numbers; otherwise 0 for none, or the bit of the sign
 _IMPOSSIBLE = 0x3FFF_FFFF  # [ticks]
 _CODES = {1: "B", 2: "H", 4: "I"}
-_PROTOCOLS = {1: Protocol1, 2: Protocol2, 3: LewanSoul}
+_PROTOCOLS = {1: Protocol1, 2: Protocol2, 3: LewanSoul, 4: Protocol1}
+_HIGH_BYTE_FIRST = 4  # protocol of Feetech SCS servos
 
 
 def to_wire(value: int, unit: int) -> int:
@@ -52,7 +53,8 @@ class ServoModel:
         self.goals_address, self.goals_size, self._goal, self._speed, self._max_speed = goals
         self.state_address, self.state_size, measured = state
         self.adopted_address, self.adopted_size, kept = adopted
-        self._state, self._adopted = _Block(measured), _Block(kept)
+        self._order = "big" if protocol == _HIGH_BYTE_FIRST else "little"
+        self._state, self._adopted = _Block(measured, self._order), _Block(kept, self._order)
         self._centre, self._max_position, self._overrun, self._angle_unit = units[:4]
         self._speed_unit, self._load_unit, self._volt_unit = units[4:]
 
@@ -109,15 +111,15 @@ class ServoModel:
         row = bytearray(self.goals_size)
         ticks = min(max(to_ticks(angle, self._angle_unit) + self._centre, 0), self._max_position)
         at, size = self._goal
-        row[at : at + size] = ticks.to_bytes(size, "little")
+        row[at : at + size] = ticks.to_bytes(size, self._order)  # type: ignore[arg-type]
         at, size = self._speed
         ticks = min(max(to_ticks(speed, self._speed_unit), 1), self._max_speed) if speed else 0
-        row[at : at + size] = ticks.to_bytes(size, "little")
+        row[at : at + size] = ticks.to_bytes(size, self._order)  # type: ignore[arg-type]
         return bytes(row)
 
     def limit(self, share: int) -> bytes:
         """Encode the torque limit of a share [0.1 %] of the stall torque."""
-        return min(to_ticks(share, self._limit_unit), self._limit_max).to_bytes(self.limit_size, "little")
+        return min(to_ticks(share, self._limit_unit), self._limit_max).to_bytes(self.limit_size, self._order)  # type: ignore[arg-type]
 
 
 def _meaning(code: int, errors: tuple) -> int:
@@ -134,9 +136,9 @@ class _Block:
     A number with bits beyond its sign is unpacked as one that is larger than any that a servo has.
     """
 
-    def __init__(self, fields: tuple):
+    def __init__(self, fields: tuple, order: str):
         by_offset = sorted(range(len(fields)), key=lambda k: fields[k][0])
-        form, end = "<", 0
+        form, end = ">" if order == "big" else "<", 0
         for k in by_offset:
             at, size, sign = fields[k]
             code = _CODES[size]

@@ -10,12 +10,13 @@ from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
+from sextant.services.simulator.servo_bus.motors import MOTOR_AND_SUPPLY
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.servo.bridge_protocol import Instruction, Mode
-from sextant.shared.servo.models import AX_12A, LX_16A, MX_28, STS3215, XL430_W250, XM430_W350
+from sextant.shared.servo.models import AX_12A, LX_16A, MX_28, SCS0009, STS3215, XL430_W250, XM430_W350
 from sextant.shared.servo.servo_model import Register, ServoError, ServoModel
 
-MODELS = (AX_12A, MX_28, STS3215, XL430_W250, XM430_W350)
+MODELS = (AX_12A, MX_28, STS3215, SCS0009, XL430_W250, XM430_W350)
 EACH = pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 IDS = (3, 1, 2)
 PERIOD_NS = 20_000_000
@@ -27,7 +28,7 @@ class Rig:
     def __init__(self, model: ServoModel) -> None:
         self.now_ns = 0
         self.model, self.table = model, model.table
-        self.bank = ServoBank(IDS, model)
+        self.bank = ServoBank(IDS, model, supply=MOTOR_AND_SUPPLY[model.name][1])
         for row in range(3):
             self.put(row, model.table.baud_rate, model.rate_code(model.bus_rate))
         self.board = Board(ServoBusEmulator(self.bank, BusTiming(model.bus_rate, 0)), model=model)
@@ -39,7 +40,7 @@ class Rig:
         self.bank.write(row, register.address, register.encode(value))
 
     def get(self, register: Register) -> list[int]:
-        return [int.from_bytes(self.bank.read(row, register.address, register.size), "little") for row in range(3)]
+        return [register.decode(self.bank.read(row, register.address, register.size)) for row in range(3)]
 
     def cycle(self, count: int = 1, goals: np.ndarray | None = None):  # type: ignore[no-untyped-def]
         for _ in range(count):

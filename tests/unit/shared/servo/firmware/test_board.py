@@ -10,11 +10,11 @@ from sextant.shared.servo import dynamixel, pca9685
 from sextant.shared.servo import firmware as package
 from sextant.shared.servo.bridge_protocol import TO_HOST, Mode, Receiver, Torque, Welcome, encode
 from sextant.shared.servo.firmware import board, config
-from sextant.shared.servo.models import AX_12A, LX_16A, STS3215, XL430_W250
+from sextant.shared.servo.models import AX_12A, LX_16A, SCS0009, STS3215, XL430_W250
 from sextant.shared.servo.servo_model import ServoModel
 from tests.support.firmware_rig import TICKS, exchange, exchange_pulses, imported, stand_in, ticks_diff
 
-FAMILIES = pytest.mark.parametrize("model", [AX_12A, STS3215, XL430_W250, LX_16A], ids=lambda model: model.name)
+FAMILIES = pytest.mark.parametrize("model", [AX_12A, STS3215, XL430_W250, LX_16A, SCS0009], ids=lambda model: model.name)
 
 
 @pytest.mark.slow
@@ -27,7 +27,7 @@ def test_session_with_faults_through_ports(model: ServoModel, echo: bool) -> Non
     assert (state.mode, rig.driver.restarts) == (Mode.OFF, 1)
     assert rig.registers("torque_enable") == [0] * rig.count
     assert rig.registers("goal_position") == [units.ticks(-0.4) + k for k in range(rig.count)]
-    assert rig.registers("torque_limit") == [700 if model.commands is None else model.table.torque_limit.max] * rig.count
+    assert rig.registers("torque_limit") == [700 if model.has(model.table.torque_limit) else 1000] * rig.count
     assert rig.driver.lost["bridge: no answer"] == 0, "counted since the restart"
     assert rig.driver.lost["frame with a wrong CRC"] > 0
     assert not rig.driver.trouble or "torque off" in rig.driver.trouble

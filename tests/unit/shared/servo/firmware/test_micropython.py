@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sextant.shared.servo import firmware
-from sextant.shared.servo.models import AX_12A, LX_16A, STS3215, XL430_W250
+from sextant.shared.servo.models import AX_12A, LX_16A, SCS0009, STS3215, XL430_W250
 from sextant.shared.servo.servo_model import ServoModel
 from tests.support.firmware_rig import STAND_INS, exchange, exchange_pulses
 
@@ -40,7 +40,7 @@ def run(script: Path, **files: Path) -> str:
 
 
 @pytest.mark.parametrize("echo", [False, True], ids=["direction pin", "echo"])
-@pytest.mark.parametrize("model", [AX_12A, STS3215, XL430_W250, LX_16A], ids=lambda model: model.name)
+@pytest.mark.parametrize("model", [AX_12A, STS3215, XL430_W250, LX_16A, SCS0009], ids=lambda model: model.name)
 def test_session_with_faults_gives_same_bytes(model: ServoModel, echo: bool, tmp_path: Path) -> None:
     rig = exchange(model, echo)
     record = tmp_path / "record.csv"
