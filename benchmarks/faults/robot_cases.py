@@ -5,13 +5,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf
 
+import numpy as np
+
 from benchmarks.faults.cases import Away, Case, Limits, OnBus
 from sextant.services.actuator.locomotion.step_executor import set_down_s
 from sextant.services.simulator.servo_bus.motors import motor_and_supply, powered_by
 from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo.bus_fault import WITHOUT_FEEDBACK
 from sextant.shared.servo.servo_model import Recovery, ServoError
 
+_DEFAULT = "phantomx_mk2"  # the robot of the limits in `cases`
 _SLOWER_S = 0.4  # [s] that a robot may take longer to notice a silent servo with commands: each is read within that time
 _START_S = 0.8  # [s] that the actuator may take longer to start with such servos, which need a command for each value
 
@@ -21,7 +25,7 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
 
     - Goals are at most as fast as its servos, which have 354 deg/s in the table; goals of servos with commands are sent
       in every second cycle, so that two cycles' change is seen in one.
-    - Servos with heavy rotors set their feet down more slowly.
+    - Servos with heavy rotors set their feet down more slowly, and overshoot a commanded speed.
     - Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. Wrong
       answers of their board may mean that all pulses are lost; then the robot stands until the operator has laid it down.
     - A constant supply, as of the RX-64 robot, does not run empty.
@@ -54,7 +58,15 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
 def _of_servos(limits: Limits, profile: RobotProfile) -> Limits:
     slower = set_down_s(profile.servos.inertia_s) / set_down_s(0.0)
     fastest = math.ceil(math.degrees(profile.servos.no_load_speed.max())) if limits.goal_dps < inf else inf
-    return replace(limits, rest_s=limits.rest_s * slower, goal_dps=fastest)
+    lunge_dps = limits.lunge_dps * max(1.0, _overshoot(profile) / _overshoot(load_profile(_DEFAULT)))
+    return replace(limits, rest_s=limits.rest_s * slower, goal_dps=fastest, lunge_dps=lunge_dps)
+
+
+def _overshoot(profile: RobotProfile) -> float:
+    """Return the highest speed of a rotor by that of its goal, which begins to move suddenly: a damped oscillator's."""
+    servos = profile.servos
+    ratio = min(float((servos.damping / (2.0 * np.sqrt(servos.stiffness * servos.armature))).min()), 1.0)
+    return 1.0 + (math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio**2)) if ratio < 1.0 else 0.0)
 
 
 def _with_commands(limits: Limits, on_bus: Sequence[tuple[str, str]], starts: bool) -> Limits:

@@ -38,6 +38,12 @@ def test_heavy_rotors_are_set_down_more_slowly() -> None:
     assert heavy == pytest.approx(0.7 * 0.496 / 0.33, rel=0.01)
 
 
+def test_rotors_on_soft_springs_may_overshoot_a_speed() -> None:
+    ax, rx, sts = (limits(robot, "overload").lunge_dps for robot in ("phantomx_mk2", "lotriet_rx64", "printed_sts3215"))
+    assert ax == rx == 30.0, "an RX-64 is damped more"
+    assert sts == pytest.approx(30.0 * 30.3 / 25.9, rel=0.01)
+
+
 def test_servos_with_commands_are_noticed_later_and_report_no_shutdown() -> None:
     assert limits("jethexa_hx35h", "servo-silent").decided_s == pytest.approx(0.65)
     assert limits("jethexa_hx35h", "bus-silent").decided_s == 0.25
