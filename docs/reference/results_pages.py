@@ -6,7 +6,7 @@ A mark is a comment with the files and the kind of table; the table replaces all
     <!-- end of table -->
 
 Kinds are those of `sextant trials table --of`; `--rows` keeps only the rows of the table. Other data have one table each, and
-several files with the faults of a robot have one row each.
+each file with the faults of a further robot is a row.
 """
 
 import re
@@ -134,7 +134,7 @@ def _table(words: list[str]) -> str:
     missing = [name for name in files if not (DOCS / name).is_file()]
     if missing or not files:
         raise ValueError(f"a file in docs/ expected in a mark of a table, found {missing[0] if missing else 'none'}")
-    if len(files) > 1 and all(name.startswith(_FAULTS) for name in files):
+    if all(name.startswith(_FAULTS) and name not in _TABLES for name in files):
         robots = {name.removeprefix(_FAULTS).removesuffix(".json"): DOCS / name for name in files}
         return overview.markdown({robot: fault_table.from_json(path.read_text("utf-8")) for robot, path in robots.items()})
     if files[0] in _TABLES:
