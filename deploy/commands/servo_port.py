@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.several_buses import AnyBus
     from sextant.services.actuator.servo_bus.triage import Opener
     from sextant.shared.robot.profile import RobotProfile
-    from sextant.shared.robot.servo import Servo
     from sextant.shared.servo.servo_model import ServoModel
 
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
@@ -55,14 +54,21 @@ class Bus:
         from sextant.shared.robot.profiles import load_profile
 
         profile = load_profile(self.robot)
-        return self.checked(profile.servo), profile
+        return self.checked(profile), profile
 
-    def checked(self, servo: "Servo | None") -> "Bus":
-        """Return the bus with the usual port of servos, unless one is given; raise InputError for a port of another kind."""
-        from sextant.shared.servo.bus_ports import all_ports, wrong_kind
+    def checked(self, profile: "RobotProfile | None") -> "Bus":
+        """Return the bus with the usual port of the robot's servos, unless one is given; None is for servos of no robot.
 
+        Raises:
+            InputError: The port is of another kind, or named as a bus that the robot does not have.
+        """
+        from sextant.shared.servo.bus_ports import all_ports, bus_ports, wrong_kind, wrong_ports
+
+        servo = profile.servo if profile else None
         if not self.port:
             return replace(self, port=servo.usual_port if servo else _DEFAULTS["port"])
+        if not (profile and profile.buses) and (words := wrong_ports(bus_ports(self.port), [""])):
+            raise InputError(f"--port: {words}")
         for port in all_ports(self.port):
             if words := wrong_kind(port, servo.pulses.board if servo and servo.pulses else ""):
                 raise InputError(f"--port: {words}")

@@ -180,7 +180,7 @@ def _turn(
     if one.servo and one.servo not in MODEL_NAMED:
         raise InputError(f"--servo: {unknown_model(one.servo)}; hobby servos need --robot, see docs/hobby_servos.md")
     profile = load_profile(one.robot) if one.robot else None
-    bus = Bus(one.robot or "", one.port, one.echo).checked(profile.servo if profile else None)
+    bus = Bus(one.robot or "", one.port, one.echo).checked(profile)
     operator = Terminal(one.yes, bus.completed)
     is_hobby = profile is not None and profile.servo.pulses is not None
     if profile is not None and is_hobby and one.servo_id not in profile.servo_names:
@@ -258,7 +258,7 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
     from sextant.shared.robot.profile import LEGS
 
     path, base, profile = options.own_file(bus.robot, out)
-    bus, operator = bus.checked(profile.servo), Terminal(yes, bus.completed)
+    bus, operator = bus.checked(profile), Terminal(yes, bus.completed)
     known = [entry.leg for entry in profile.calibration]
     chosen = legs or [leg for leg in LEGS if leg not in known] or list(LEGS)
     angles = pose or calibration.STRAIGHT_OUT

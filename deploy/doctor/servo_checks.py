@@ -53,8 +53,9 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
     except ConfigError as error:
         yield Check(f"servo port {port}", Level.FAIL, str(error), "correct the profile, or give another with --robot")
         return
-    if profile.buses and (words := wrong_ports(bus_ports(port), [bus.name for bus in profile.buses])):
-        yield Check(f"servo port {port}", Level.FAIL, words, "name the port of each bus with --port")
+    if words := wrong_ports(bus_ports(port), [bus.name for bus in profile.servos.buses]):
+        advice = "name the port of each bus with --port" if profile.buses else "give the port alone with --port"
+        yield Check(f"servo port {port}", Level.FAIL, words, advice)
         return
     board = profile.servo.pulses.board if profile.servo.pulses else ""
     if words := next(filter(None, (wrong_kind(one, board) for one in all_ports(port))), ""):
@@ -234,9 +235,10 @@ def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
 
 
 def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:
-    """Check the adapter's latency timer, after the port was opened once."""
+    """Name the adapter, and check its latency timer, after the port was opened once."""
     found = usb_adapter.latency_ms(port, devices)
     words = "none" if found is None else f"{found} ms"
+    words = f"{words}; the adapter is {name}" if (name := usb_adapter.name_of(port)) else words
     advice = usb_adapter.advice(port, devices)
     return Check("latency timer", Level.WARN if advice else Level.OK, words, advice)
 

@@ -149,8 +149,9 @@ def _silence(opener: Opener, model: ServoModel, rates: Sequence[int]) -> Problem
     """Return the problem of a port on which nothing answers."""
     names = [one.protocol.NAME for one in other_families(model)]
     at = f" at {', '.join(map(str, rates))} baud" if opener.has_rates else ""
-    latency = usb_adapter.latency_ms(opener.name)
-    adapter = "" if latency is None else f"; its adapter has a latency timer of {latency} ms"
+    latency, name = usb_adapter.latency_ms(opener.name), usb_adapter.name_of(opener.name)
+    about = (f"is {name}" if name else "", "" if latency is None else f"has a latency timer of {latency} ms")
+    adapter = f"; its adapter {' and '.join(filter(None, about))}" if any(about) else ""
     more = "; --all-rates asks at all rates of these servos" if opener.has_rates and set(all_rates(model)) - set(rates) else ""
     return Problem(
         f"no servo answers on {opener.name} as {model.name}{at}, nor another servo in {' or '.join(names)}{adapter}",

@@ -1,4 +1,4 @@
-"""Latency timer of the USB adapter: an FTDI chip delays answers by 16 ms."""
+"""The USB adapter of a port: its name, and its latency timer, by which an FTDI chip delays answers by 16 ms."""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -19,6 +19,15 @@ def identity(url: str, ports: Callable[[], Iterable[Any]] = comports) -> tuple[i
         if port.device == device and port.vid is not None and port.serial_number:
             return port.vid, port.pid, port.serial_number
     return None
+
+
+def name_of(url: str, ports: Callable[[], Iterable[Any]] | None = None) -> str:
+    """Return product, vendor id and product id of an adapter, as "FT232R USB UART (0403:6001)"; "" if the system has none."""
+    device = str(Path(url).resolve())
+    for port in (ports or comports)():
+        if port.device == device and port.vid is not None:
+            return f"{port.product or 'USB device'} ({port.vid:04x}:{port.pid:04x})"
+    return ""
 
 
 def devices(ports: Callable[[], Iterable[Any]] = comports) -> list[str]:

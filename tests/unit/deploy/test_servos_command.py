@@ -75,6 +75,13 @@ def test_invalid_input_is_refused_before_any_servo_instruction(
     assert not bench.counts.instructions
 
 
+@pytest.mark.parametrize("words", [["scan"], ["set-id"], ["off"], ["test"], ["calibrate"], ["find", "1"]], ids=" ".join)
+def test_port_of_a_bus_that_the_robot_does_not_have_is_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["servos", *words, "--port", "left=/dev/ttyUSB0"]) == 2
+    expected = "--port: a port without the name of a bus expected, found left=...: the robot has one bus"
+    assert expected in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("port", ["sock://127.0.0.1:5201", "socket://127.0.0.1", "socket://127.0.0.1:x"])
 def test_invalid_port_url_error_shows_expected_format(port: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["servos", "scan", "--port", port]) == 1

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from sextant.services.actuator.servo_bus import triage
+from sextant.services.actuator.servo_bus import triage, usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import Problem
 from sextant.services.actuator.servo_bus.command_bus import bus_of
@@ -29,6 +29,26 @@ def examined(
     desk: Desk, model: ServoModel = AX_12A, rates: Callable[[ServoModel], tuple[int, ...]] = usual_rates
 ) -> Problem | None:
     return triage.examine(opener(desk), model, [1, 2, 3], rates(model))
+
+
+def test_silent_port_names_its_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk, told = Desk(PHANTOMX, fresh=True), "nor another servo in LewanSoul or Dynamixel Protocol 2.0"
+    monkeypatch.setattr(usb_adapter, "name_of", lambda url: "CP2102 USB to UART (10c4:ea60)")
+    found = examined(desk)
+    assert found is not None
+    assert found.words.endswith(f"{told}; its adapter is CP2102 USB to UART (10c4:ea60)")
+    monkeypatch.setattr(usb_adapter, "latency_ms", lambda url: 16)
+    found = examined(desk)
+    assert found is not None
+    assert found.words.endswith("; its adapter is CP2102 USB to UART (10c4:ea60) and has a latency timer of 16 ms")
+
+
+@pytest.mark.parametrize("name", ["XL430-W250", "STS3215"])
+def test_servo_is_named_with_its_own_protocol(name: str) -> None:
+    expected = {"XL430-W250": "AX-12A", "STS3215": "XL-320"}[name]
+    found = examined(Desk(robot_with(name)), MODEL_NAMED[expected])
+    assert found is not None
+    assert f"servo 1 is {name} ({MODEL_NAMED[name].protocol.NAME}) at 1000000 baud" in found.words
 
 
 @pytest.mark.parametrize("name", ["AX-12A", "MX-28", "XL430-W250", "STS3215", "LX-16A"])

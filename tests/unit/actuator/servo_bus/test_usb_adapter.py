@@ -1,6 +1,7 @@
 """Latency timer of the USB adapter: set by flag or file, or the command is named."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -58,6 +59,18 @@ def test_missing_permission_names_command_and_udev_rule(timer: Path, link: str, 
     assert f"`echo 1 | sudo tee {timer}`" in words
     assert 'DRIVER=="ftdi_sio", ATTR{latency_timer}="1"' in words
     assert timer.read_text() == "16\n"
+
+
+def test_adapter_is_named_by_product_and_ids_also_behind_a_link(link: str, tmp_path: Path) -> None:
+    device = str(tmp_path / "ttyUSB0")
+    ftdi = SimpleNamespace(device=device, vid=0x0403, pid=0x6001, product="FT232R USB UART")
+    onboard = SimpleNamespace(device=device, vid=None, pid=None, product=None)
+    other = SimpleNamespace(device="/dev/ttyACM0", vid=0x2341, pid=0x0043, product=None)
+    for url in (link, device):
+        assert usb_adapter.name_of(url, lambda: [other, ftdi]) == "FT232R USB UART (0403:6001)"
+        assert usb_adapter.name_of(url, lambda: [other, onboard]) == ""
+    assert usb_adapter.name_of("/dev/ttyACM0", lambda: [other]) == "USB device (2341:0043)"
+    assert usb_adapter.name_of("socket://127.0.0.1:5000", lambda: [other]) == ""
 
 
 def test_low_latency_adapter_and_ports_without_timer_are_unchanged(timer: Path, link: str) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from sextant.deploy.doctor import servo_checks
 from sextant.deploy.doctor.check import Check, Level
+from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profile import LEGS, Calibration
@@ -123,6 +124,20 @@ def test_slow_latency_timer_warns_with_fix_command(tmp_path: Path) -> None:
     assert "sudo tee" in check.advice
     timer.write_text("1\n")
     assert servo_checks.latency("/dev/ttyUSB0", tmp_path) == Check("latency timer", Level.OK, "1 ms")
+
+
+def test_adapter_is_named_with_its_latency_timer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(usb_adapter, "name_of", lambda url: "FT232R USB UART (0403:6001)")
+    check = servo_checks.latency("/dev/ttyUSB0", tmp_path)
+    assert check == Check("latency timer", Level.OK, "none; the adapter is FT232R USB UART (0403:6001)")
+
+
+def test_port_of_a_bus_that_the_robot_does_not_have_fails(bench: BenchEmulator) -> None:
+    with TcpBusServer(bench) as server:
+        (check,) = servo_checks.examine(f"left={server.url}", "phantomx_mk2")
+    assert check.level is Level.FAIL
+    assert check.found == "a port without the name of a bus expected, found left=...: the robot has one bus"
+    assert check.advice == "give the port alone with --port"
 
 
 @pytest.mark.parametrize(("days", "level"), [(0, Level.OK), (180, Level.OK), (181, Level.WARN)])
