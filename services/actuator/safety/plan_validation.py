@@ -206,10 +206,10 @@ def _excess(profile: RobotProfile, feet: Array, leg: int, joint: int) -> str:
         x, y, z = apply(profile.T_coxa_body[leg], feet[leg])
         away, links = float(np.hypot(np.hypot(x, y) - profile.links.coxa, z)), profile.links
         over = max(away - links.femur - links.tibia, abs(links.femur - links.tibia) - away)
-        return f"{1e3 * over:.0f} mm too {'far' if away > links.femur else 'near'}"
+        return f"{max(round(1e3 * over), 1)} mm too {'far' if away > links.femur else 'near'}"
     low, high = profile.joint_limits[leg, joint].tolist()
     over, how = (low - q, _BELOW[joint]) if q < low else (q - high, _ABOVE[joint])
-    return f"its {JOINTS[joint]} would be {how} {np.degrees(over):.0f} deg too far"
+    return f"its {JOINTS[joint]} would be {how} {max(round(np.degrees(over)), 1)} deg too far"
 
 
 def _repeats(plan: StepPlan, checked: StepPlan) -> bool:
