@@ -111,6 +111,18 @@ def of_each_bus(bus: Bus, profile: "RobotProfile") -> "list[tuple[str, Bus, Robo
     return [(name, replace(bus, port=ports[name][0]), on_bus(profile, name)) for name in names if name in ports]
 
 
+def of_servo(bus: Bus, profile: "RobotProfile", servo_id: int) -> Bus:
+    """Return the bus of a servo, if --port names buses; else the bus as it is."""
+    from sextant.shared.servo.bus_ports import bus_ports
+
+    if not profile.buses or "" in bus_ports(bus.port):
+        return bus
+    found = next((port for _, port, on_it in of_each_bus(bus, profile) if servo_id in on_it.servo_names), None)
+    if found is None:
+        raise InputError(f"--port: the port of the bus with servo {servo_id} expected, found {bus.port!r}")
+    return found
+
+
 def open_all(bus: Bus, profile: "RobotProfile") -> "AnyBus":
     """Open all servos of a robot, on one bus or several; raises BusDisconnectedError."""
     from sextant.services.actuator.servo_bus.several_buses import SeveralBuses
@@ -143,7 +155,8 @@ def examine(bus: Bus, profile: "RobotProfile", rates: Sequence[int], ids: range)
 
     opener = opener_of(bus, profile)
     asked = [i for i in profile.servo_names if i in ids] or list(ids)
-    return triage.examine(opener, profile.servo_model, asked, rates)
+    elsewhere = {i: name for i, name in profile.servos_elsewhere.items() if i in ids}
+    return triage.examine(opener, profile.servo_model, asked, rates, elsewhere)
 
 
 def opener_of(bus: Bus, profile: "RobotProfile") -> "Opener":

@@ -21,6 +21,7 @@ from sextant.deploy.commands.servo_port import (
     ended_once,
     examine,
     of_each_bus,
+    of_servo,
     open_all,
     open_ids,
     open_line,
@@ -195,6 +196,7 @@ def _turn(
             return SUCCESS if of_board(bus.port, profile, one.servo_id, operator) else FAILED
     names = {one.servo_id: profile.servo_names.get(one.servo_id, "") if profile else ""}
     wanted = profile.servo_models.get(one.servo_id, profile.servo_model) if profile else MODEL_NAMED.get(one.servo or "")
+    bus = of_servo(bus, profile, one.servo_id) if profile else bus
     with ended_once():
         opener = Opener(lambda rate, model: open_ids(bus, names, model, rate), bus.port, not bus.networked)
         found = identify(opener, one.servo_id, wanted)

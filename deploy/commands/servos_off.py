@@ -26,9 +26,8 @@ def off(bus: Bus, profile: "RobotProfile", bridge: bool) -> int:
     others = None
     with ended_once():
         left, failure = _order(bus, profile, bridge, unlatched)
-        for _, one_bus, on_it in of_each_bus(bus, profile):
-            if not on_it.servo_names.keys() <= left.keys():
-                continue
+        silent = [(port, on_it) for _, port, on_it in of_each_bus(bus, profile) if on_it.servo_names.keys() <= left.keys()]
+        for one_bus, on_it in silent:
             try:
                 others = _of_others(one_bus, on_it)
             except BusDisconnectedError as error:
@@ -84,6 +83,7 @@ def _order(bus: Bus, profile: "RobotProfile", bridge: bool, unlatched: str) -> t
 def _of_others(bus: Bus, profile: "RobotProfile") -> "OtherServos | None":
     """Turn the torque off of servos on a bus that are not as the profile states them, and report how they answer."""
     from sextant.services.actuator.commissioning.torque_off import torque_off_of_others
+    from sextant.services.actuator.servo_bus.bus_scan import on_wrong_bus
     from sextant.services.actuator.servo_bus.triage import USUAL_IDS
     from sextant.shared.servo.models import AX_12A
 
@@ -95,10 +95,12 @@ def _of_others(bus: Bus, profile: "RobotProfile") -> "OtherServos | None":
     if echo:
         say(f"{echo.words}\n  -> {echo.advice}")
     opener = opener_of(replace(bus, echo=bus.echo != bool(echo)), profile)
-    others = torque_off_of_others(opener, model, profile.servo_names if model else USUAL_IDS)
-    if others is not None and (others.first.model, others.first.rate) != (model, model and model.bus_rate):
-        words, advice = others.first.problem(model)
-        say(bus.completed(f"{words}\n  -> {advice}"))
+    elsewhere = profile.servos_elsewhere
+    others = torque_off_of_others(opener, model, (*profile.servo_names, *elsewhere) if model else USUAL_IDS)
+    if others is not None and others.first.servo_id in elsewhere:
+        say("\n  -> ".join(on_wrong_bus(others.first.servo_id, elsewhere)))
+    elif others is not None and (others.first.model, others.first.rate) != (model, model and model.bus_rate):
+        say(bus.completed("\n  -> ".join(others.first.problem(model))))
     if others is not None and model is None:
         off, there = len(others.off), len(others.off) + len(others.left)
         say(f"{off} of {there} servos that answer on {bus.port} confirm torque off")

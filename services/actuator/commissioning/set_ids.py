@@ -21,6 +21,7 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     grouped,
     is_unassigned,
     named,
+    on_wrong_bus,
     problems,
     reset_servos,
     scan_servo,
@@ -179,8 +180,7 @@ def verdict(
     heard = {seen.servo_id: seen for rate, seen in found if rate == seen.expected.bus_rate}
     wrong = problems(names, heard)
     for i in profile.servos_elsewhere.keys() & heard.keys():
-        words = f"servo {i} ({profile.servos_elsewhere[i]}) is on this bus"
-        wrong[i] = Problem(words, "connect it to the adapter of its own bus, or change [[buses]] of the profile")
+        wrong[i] = on_wrong_bus(i, profile.servos_elsewhere)
     missing, unanswered = [i for i in names if i not in heard], []
     if not each and len(missing) == len(names) > 1:
         missing, unanswered = [], [Problem(f"none of {len(names)} servos answers", _NO_ANSWER_ADVICE)]

@@ -268,6 +268,12 @@ def each_of(ids: Collection[int], names: Mapping[int, str]) -> str:
     return f"each of {len(ids)} servos (ids {', '.join(map(str, sorted(ids)))})" if len(ids) > _FEW else ""
 
 
+def on_wrong_bus(servo_id: int, elsewhere: Mapping[int, str]) -> Problem:
+    """Return the problem of a servo that answers on another bus of the robot than its own."""
+    words = f"servo {servo_id} ({elsewhere[servo_id]}) is on this bus"
+    return Problem(words, "exchange the ports in --port, connect the servo to its own bus, or change [[buses]] of the profile")
+
+
 def is_unassigned(seen: Mapping[int, ServoScan], names: Mapping[int, str]) -> bool:
     """Return whether the servo with the factory id may belong to any joint, although a joint has that id.
 

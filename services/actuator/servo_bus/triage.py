@@ -1,17 +1,19 @@
 """Triage of a servo port before its ids are scanned: which family of servos answers, at which rate, or what else talks."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
+from types import MappingProxyType
 from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, OTHER_ROBOT, Problem
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, OTHER_ROBOT, Problem, on_wrong_bus
 from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
+NO_OTHERS: Mapping[int, str] = MappingProxyType({})
 USUAL_IDS = range(1, 19)  # of bus servos on the port of a robot with hobby servos
 _FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
 _RATE_TOLERANCE = 0.03  # [1] relative difference of two rates up to which bytes are received correctly
@@ -50,7 +52,9 @@ def _apart(rates: Iterable[int]) -> tuple[int, ...]:
     return tuple(kept)
 
 
-def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequence[int]) -> Problem | None:
+def examine(
+    opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequence[int], elsewhere: Mapping[int, str] = NO_OTHERS
+) -> Problem | None:
     """Return why no servo of the robot can be used, or None if something answers at these ids.
 
     Args:
@@ -58,6 +62,7 @@ def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequen
         model: Model of the robot's servos.
         ids: The robot's ids. That of new servos is asked, too.
         rates: [1/s] at which to ask servos of the model.
+        elsewhere: Id -> name of servos on other buses of the robot, which are asked, too.
 
     Raises:
         NotAServoBusError: Another device sends on the port.
@@ -65,7 +70,7 @@ def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequen
     with closing(opener.open(rates[0], model)) as bus:
         if echo := bus.echo_problem():
             return echo
-    asked = tuple(dict.fromkeys((FACTORY_ID, *ids)))
+    asked = tuple(dict.fromkeys((FACTORY_ID, *ids, *elsewhere)))
     for rate in rates:
         with closing(opener.open(rate, model)) as bus:
             heard = next((heard for i in asked if not (heard := bus.ping_responses(i)).silent), None)
@@ -73,10 +78,12 @@ def examine(opener: Opener, model: ServoModel, ids: Iterable[int], rates: Sequen
                 if not heard.answers:
                     refuse_another_device(bus)
                 return None
-    return other_family(opener, model, asked) or _silence(opener, model, rates)
+    return other_family(opener, model, asked, elsewhere) or _silence(opener, model, rates)
 
 
-def other_family(opener: Opener, model: ServoModel | None, ids: Iterable[int]) -> Problem | None:
+def other_family(
+    opener: Opener, model: ServoModel | None, ids: Iterable[int], elsewhere: Mapping[int, str] = NO_OTHERS
+) -> Problem | None:
     """Return that a servo answers at one of these ids, or at that of new servos, in another protocol than a model; else None.
 
     None in place of the model stands for hobby servos, which have no protocol.
@@ -88,6 +95,8 @@ def other_family(opener: Opener, model: ServoModel | None, ids: Iterable[int]) -
     with closing(opener.open(*(families[0].bus_rate, families[0]) if model is None else (model.bus_rate, model))) as bus:
         refuse_another_device(bus)
     found = first_answer(opener, families, ids)
+    if found is not None and found.servo_id in elsewhere:
+        return on_wrong_bus(found.servo_id, elsewhere)
     return None if found is None else found.problem(model)
 
 

@@ -25,6 +25,7 @@ from tests.support.families import command_robot, two_bus_robot
 
 PROFILE, COMMANDS = two_bus_robot(), command_robot()
 PORTS = "left=socket://127.0.0.1:1, right=socket://127.0.0.1:2"
+EXCHANGED = "left=socket://127.0.0.1:2, right=socket://127.0.0.1:1"
 
 
 class Line:
@@ -117,6 +118,45 @@ def test_off_turns_the_torque_of_both_buses_off(
     assert run("off") == 0
     assert "confirmed by 18 of 18 servos" in capsys.readouterr().out
     assert not any(bench._servos.column(bench._servos.table.torque_enable).any() for bench in line.benches)
+
+
+def test_off_turns_the_torque_off_at_exchanged_ports(
+    robot: RobotProfile, line: Line, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(servos_off, "_latch", lambda port: "")
+    for bench in line.benches:
+        for row in range(9):
+            bench._servos.write(row, bench._tables[row].torque_enable.address, b"\x01")
+    assert run("off", ports=EXCHANGED) == 0
+    told = capsys.readouterr().out
+    assert ", of bus right) is on this bus\n  -> exchange the ports in --port, connect the servo to its own bus, or" in told
+    assert ", of bus left) is on this bus" in told
+    assert "confirmed by 18 of 18 servos" in told
+    for bench in line.benches:
+        bench.receive(b"", line.monotonic_ns() + 100_000_000)
+        assert not any(bench._value(row, bench._tables[row].torque_enable) for row in range(9))
+
+
+def test_scan_of_exchanged_ports_finds_the_servos_of_the_other_bus(
+    robot: RobotProfile, line: Line, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("scan", "--ids", "1:19", ports=EXCHANGED) == 1
+    told = capsys.readouterr().out
+    assert "no servo answers" not in told
+    assert ", of bus right) is on this bus" in told
+    assert ", of bus left) is on this bus" in told
+
+
+@pytest.mark.parametrize(("servo_id", "ports"), [(1, PORTS), (4, PORTS), (4, "right=socket://127.0.0.1:2")])
+def test_find_turns_a_servo_on_its_bus(servo_id: int, ports: str, line: Line, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("find", f"{servo_id}", "--yes", ports=ports) == 0
+    assert capsys.readouterr().out.endswith("torque is off\n")
+
+
+@pytest.mark.parametrize(("servo_id", "ports"), [(1, "right=socket://127.0.0.1:2"), (99, PORTS)])
+def test_find_needs_the_port_of_the_bus(servo_id: int, ports: str, line: Line, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("find", f"{servo_id}", "--yes", ports=ports) == 2
+    assert f"--port: the port of the bus with servo {servo_id} expected, found '{ports}'" in capsys.readouterr().err
 
 
 def test_test_moves_joints_of_both_buses(
