@@ -29,6 +29,9 @@ def off(bus: Bus, profile: "RobotProfile", bridge: bool) -> int:
         silent = [(port, on_it) for _, port, on_it in of_each_bus(bus, profile) if on_it.servo_names.keys() <= left.keys()]
         for one_bus, on_it in silent:
             try:
+                if board := _of_maestro(one_bus, on_it):
+                    errors.append(board)
+                    continue
                 others = _of_others(one_bus, on_it)
             except BusDisconnectedError as error:
                 add_bridge = isinstance(error, NotAServoBusError) and profile.servo.pulses is None
@@ -78,6 +81,15 @@ def _order(bus: Bus, profile: "RobotProfile", bridge: bool, unlatched: str) -> t
         except BusSetupError as error:
             complain(_NOT_CONFIRMED)
             raise CommandError(str(error)) from None
+
+
+def _of_maestro(bus: Bus, profile: "RobotProfile") -> str:
+    """End the pulses of a Maestro that answers in place of servos on a bus; return that it does, or ""."""
+    from sextant.services.actuator.commissioning.torque_off import end_pulses
+
+    if profile.servo.pulses:
+        return ""
+    return "\n  -> ".join(end_pulses(opener_of(bus, profile), profile.servo_model) or ())
 
 
 def _of_others(bus: Bus, profile: "RobotProfile") -> "OtherServos | None":

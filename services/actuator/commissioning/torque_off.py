@@ -8,12 +8,13 @@ from typing import NamedTuple
 from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError, took
 from sextant.services.actuator.commissioning.set_ids import Operator
 from sextant.services.actuator.servo_bus.attempts import retry
-from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, named
+from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, named
 from sextant.services.actuator.servo_bus.model_identification import told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 from sextant.services.actuator.servo_bus.servo_interface import Servos
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
-from sextant.services.actuator.servo_bus.triage import Answering, Opener, first_answer, other_families
+from sextant.services.actuator.servo_bus.triage import HOBBY_ROBOT, Answering, Opener, first_answer, is_maestro, other_families
+from sextant.shared.servo import maestro
 from sextant.shared.servo.servo_model import ServoModel
 
 
@@ -91,6 +92,22 @@ def torque_off_of_others(opener: Opener, model: ServoModel | None, ids: Iterable
         there = [i for i in asked if i <= first.model.protocol.MAX_ID and retry(partial(bus.ping, i)) is not None]
         left = torque_off(bus, there)
         return OtherServos(first, [i for i in there if i not in left], left)
+
+
+def end_pulses(opener: Opener, model: ServoModel) -> Problem | None:
+    """End all pulses of a Maestro that answers in place of servos of a model; return that it does, None if none answers.
+
+    Raises:
+        BusDisconnectedError: The port is gone.
+    """
+    channels = range(maestro.MAX_CHANNELS)
+    with closing(opener.open(model.bus_rate, model)) as bus:
+        if not is_maestro(bus):
+            return None
+        bus.bytes_after(b"".join(maestro.set_target(channel, maestro.OFF) for channel in channels))
+        left = sum(maestro.number(bus.bytes_after(maestro.get_position(channel))) > 0 for channel in channels)
+    ended = f"{left} of its channels still have pulses" if left else "its pulses have ended"
+    return Problem(f"a Pololu Maestro answers, {model.name} expected: {ended}", HOBBY_ROBOT)
 
 
 @contextmanager

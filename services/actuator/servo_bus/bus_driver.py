@@ -234,6 +234,10 @@ class ServoBus:
         """Return the first bytes within a second without a request; servos send none."""
         return self._line.unrequested_bytes()
 
+    def bytes_after(self, request: bytes) -> bytes:
+        """Return all bytes after a request that need not be one to servos."""
+        return self._line.bytes_after(request)
+
     def change_rate(self, rate: int) -> bool:
         """Change the baud rate [1/s] of the host; return whether the port has one."""
         return self._line.change_rate(rate)

@@ -380,16 +380,25 @@ class SerialLine:
         """
         heard = b""
         for _ in range(_ECHO_ATTEMPTS):
-            self.send(request)
-            try:
-                heard += self._port.read(_READ_ALL_BYTES)
-            except LOST as error:
-                raise gone(error) from error
-            self._unheard.clear()
-            self._stale = True
+            heard += self.bytes_after(request)
             if request in heard:
                 return True
         return False
+
+    def bytes_after(self, request: bytes) -> bytes:
+        """Return all bytes after a request, with its echo if there is one. It listens for the reply timeout.
+
+        Raises:
+            BusDisconnectedError: The port is gone.
+        """
+        self.send(request)
+        try:
+            heard = self._port.read(_READ_ALL_BYTES)
+        except LOST as error:
+            raise gone(error) from error
+        self._unheard.clear()
+        self._stale = True
+        return heard
 
     def change_rate(self, rate: int) -> bool:
         """Change the baud rate [1/s] of the host; return whether the port has one.

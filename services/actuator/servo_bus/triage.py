@@ -10,9 +10,11 @@ from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, OTHER_ROBOT, Problem, on_wrong_bus
 from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
+from sextant.shared.servo import maestro
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
+HOBBY_ROBOT = "give --robot your_robot.toml, a profile with hobby servos, see docs/hobby_servos.md"
 NO_OTHERS: Mapping[int, str] = MappingProxyType({})
 USUAL_IDS = range(1, 19)  # of bus servos on the port of a robot with hobby servos
 _FACTORY_RATES = (57_143,)  # [1/s] of an RX-64 or MX
@@ -62,7 +64,7 @@ def examine(
         model: Model of the robot's servos.
         ids: The robot's ids. That of new servos is asked, too.
         rates: [1/s] at which to ask servos of the model.
-        elsewhere: Id -> name of servos on other buses of the robot, which are asked, too.
+        elsewhere: Id -> name of servos on other buses of the robot, which may be on this one.
 
     Raises:
         NotAServoBusError: Another device sends on the port.
@@ -94,10 +96,18 @@ def other_family(
     families = other_families(model)
     with closing(opener.open(*(families[0].bus_rate, families[0]) if model is None else (model.bus_rate, model))) as bus:
         refuse_another_device(bus)
+        if model is not None and is_maestro(bus):
+            return Problem(f"a Pololu Maestro answers, {model.name} expected", HOBBY_ROBOT)
     found = first_answer(opener, families, ids)
     if found is not None and found.servo_id in elsewhere:
         return on_wrong_bus(found.servo_id, elsewhere)
     return None if found is None else found.problem(model)
+
+
+def is_maestro(bus: ServoBus) -> bool:
+    """Return whether a Maestro answers in place of servos, which take no packet of one byte for a request."""
+    answers = [bus.bytes_after(maestro.get_errors()) for _ in range(2)]
+    return all(len(one) == 2 and maestro.number(one) <= maestro.ALL_ERRORS for one in answers)
 
 
 def instead_of_board(opener: Opener, board: str) -> Problem | None:

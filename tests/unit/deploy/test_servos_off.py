@@ -11,6 +11,7 @@ from sextant.deploy.commands import servos_off
 from sextant.services.actuator.servo_bus.bus_scan import ECHO
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
 from sextant.services.simulator.servo_bus.pulse_board import Pca9685Emulator
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.robot.profile_text import write_new_profile
@@ -182,6 +183,23 @@ def test_bus_servos_in_place_of_a_maestro_are_named(
     told = capsys.readouterr().err
     assert "servo 1 is STS3215 (Feetech STS) at 1000000 baud, hobby servos expected" in told
     assert "Maestro" not in told
+
+
+@pytest.mark.parametrize("robot", ["phantomx_mk2", "printed_sts3215", "jethexa_hx35h"])
+def test_hobby_servos_under_a_profile_of_bus_servos(
+    robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = PulseBench(load_profile("printed_ds3218"))
+    bench._servos.column(bench._servos.table.torque_enable)[:] = 1
+    line = Line(bench, monkeypatch)
+    assert off(line, "--robot", robot) == 1, "what the profile states is elsewhere"
+    told = capsys.readouterr().err
+    assert f"a Pololu Maestro answers, {load_profile(robot).servo_model.name} expected: its pulses have ended" in told
+    assert "a profile with hobby servos" in told
+    bench.receive(b"", line.monotonic_ns() + 100_000_000)
+    assert bench.execute("list") == "0 of 18 servos have pulses: none"
+    assert cli.main(["servos", "scan", "--port", line.URL, "--robot", robot]) == 1
+    assert "a Pololu Maestro answers" in capsys.readouterr().out
 
 
 def test_servo_packets_are_not_sent_to_an_i2c_board(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
