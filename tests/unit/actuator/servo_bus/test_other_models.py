@@ -1,4 +1,4 @@
-"""Servos of another model than the robot's, with the same packets: named by their number, in whatever register it is."""
+"""Servos of another model than the robot's, with the same packets: named by their number, in any register."""
 
 from itertools import permutations
 
