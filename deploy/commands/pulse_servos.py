@@ -10,7 +10,7 @@ from sextant.deploy.commands.common import FAILED, SUCCESS, CommandError, compla
 from sextant.deploy.commands.servo_port import Bus, opener_of
 
 if TYPE_CHECKING:
-    from sextant.services.actuator.commissioning.set_ids import Operator
+    from sextant.services.actuator.commissioning.operator_dialogue import Operator
     from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
     from sextant.shared.robot.profile import Calibration, RobotProfile
 

@@ -16,7 +16,7 @@ from sextant.deploy.terminal.interrupts import Interrupts
 from sextant.shared.errors import SextantError
 
 if TYPE_CHECKING:
-    from sextant.services.actuator.commissioning.set_ids import Line
+    from sextant.services.actuator.commissioning.bus_survey import Line
     from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.services.actuator.servo_bus.bus_scan import Problem
     from sextant.services.actuator.servo_bus.servo_interface import Servos
@@ -139,7 +139,7 @@ def open_all(bus: Bus, profile: "RobotProfile") -> "AnyBus":
 @contextmanager
 def open_line(bus: Bus, profile: "RobotProfile", all_rates: bool = False) -> "Iterator[Line]":
     """Open the servo port; close it at the end, also after a signal."""
-    from sextant.services.actuator.commissioning.set_ids import Line
+    from sextant.services.actuator.commissioning.bus_survey import Line
     from sextant.services.actuator.servo_bus import triage
 
     of_model = triage.all_rates if all_rates else triage.usual_rates

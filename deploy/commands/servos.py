@@ -30,7 +30,8 @@ from sextant.deploy.commands.servo_port import (
 from sextant.deploy.terminal.arguments import Choice, Group, Parsed, argument, flag, number, option, options_of, whole
 
 if TYPE_CHECKING:
-    from sextant.services.actuator.commissioning.set_ids import Found, Operator
+    from sextant.services.actuator.commissioning.bus_survey import Found
+    from sextant.services.actuator.commissioning.operator_dialogue import Operator
     from sextant.services.actuator.servo_bus.bus_driver import ServoBus
     from sextant.shared.robot.profile import Calibration, RobotProfile
 
@@ -102,9 +103,9 @@ def _scan_bus(
     name: str, bus: Bus, profile: "RobotProfile", ids: range | None, all_rates: bool, as_json: bool
 ) -> tuple[list[dict[str, object]], list[dict[str, str]]]:
     """Scan one bus and report its servos; return them and their problems for JSON."""
-    from sextant.services.actuator.commissioning import set_ids
+    from sextant.services.actuator.commissioning import bus_survey
 
-    ids = set_ids.all_ids(profile.servo_model) if ids is None else ids
+    ids = bus_survey.all_ids(profile.servo_model) if ids is None else ids
     which_bus = {"bus": name} if name else {}
     with open_line(bus, profile, all_rates) as line:
         unanswered = examine(bus, profile, line.rates, ids)
@@ -114,16 +115,16 @@ def _scan_bus(
             tell(f"bus {name}, {bus.port}:")
         if not unanswered:
             tell(f"scanning {len(ids)} ids at {rates} baud; unused ids take longer")
-        found = [] if unanswered else set_ids.scan(line, ids)
-    wrong = [unanswered] if unanswered else set_ids.verdict(found, profile, ids, each=as_json)
+        found = [] if unanswered else bus_survey.scan(line, ids)
+    wrong = [unanswered] if unanswered else bus_survey.verdict(found, profile, ids, each=as_json)
     named = replace(bus, port=f"{name}={bus.port}") if name else bus
     wrong = [problem._replace(advice=named.completed(problem.advice)) for problem in wrong]
     result = [which_bus | _row(one, profile) for one in found], [which_bus | problem._asdict() for problem in wrong]
     if as_json:
         return result
     if found:
-        say(set_ids.in_words(found, profile))
-    if holding := set_ids.holding(found, profile):
+        say(bus_survey.in_words(found, profile))
+    if holding := bus_survey.holding(found, profile):
         say(named.completed(f"{holding}; `sextant servos off` turns torque off"))
     for advice, alike in groupby(wrong, key=lambda problem: problem.advice):
         for problem in alike:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sextant.deploy.doctor.check import Check, Level
-from sextant.services.actuator.commissioning.set_ids import hampered
+from sextant.services.actuator.commissioning.bus_survey import hampered
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.files.config import ConfigError
 from sextant.shared.servo.bus_ports import all_ports, bus_ports, find_port, wrong_kind, wrong_ports

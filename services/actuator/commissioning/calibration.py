@@ -9,7 +9,7 @@ from datetime import date
 import numpy as np
 
 from sextant.services.actuator.commissioning.limited_motion import hold, limited_motion, ready, resting, torque_words
-from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
 from sextant.services.actuator.servo_bus.several_buses import AnyBus
 from sextant.shared.geometry import Array

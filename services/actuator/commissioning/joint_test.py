@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sextant.services.actuator.commissioning.limited_motion import TORQUE_SHARE, get, hold, limited_motion, put, ready, silent
-from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.services.actuator.commissioning.torque_off import torque_off_if_interrupted
 from sextant.services.actuator.commissioning.watched_motion import AGAIN, seen_problem, way_in_words
 from sextant.services.actuator.servo_bus.attempts import retry

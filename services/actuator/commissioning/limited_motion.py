@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.services.actuator.servo_bus.attempts import retry
 from sextant.services.actuator.servo_bus.bus_scan import ServoScan, call, named, problems
 from sextant.services.actuator.servo_bus.servo_health import health_problems

@@ -13,7 +13,7 @@ import numpy as np
 
 from sextant.services.actuator.commissioning.calibration import implausible, see_pose, trims_deg
 from sextant.services.actuator.commissioning.joint_test import legs_in_words
-from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.services.actuator.commissioning.watched_motion import AGAIN, seen_problem, way_in_words
 from sextant.services.actuator.servo_bus.bus_driver import open_port
 from sextant.services.actuator.servo_bus.pwm_servos import PwmServos

@@ -17,7 +17,7 @@ from sextant.services.actuator.commissioning.limited_motion import (
     limited_motion,
     put,
 )
-from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.services.actuator.servo_bus.attempts import retry
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import named, problems, scan_servo

@@ -6,7 +6,7 @@ from functools import partial
 from typing import NamedTuple
 
 from sextant.services.actuator.commissioning.limited_motion import ServoNotRespondingError, took
-from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.services.actuator.servo_bus.attempts import retry
 from sextant.services.actuator.servo_bus.bus_scan import FACTORY_ID, Problem, named
 from sextant.services.actuator.servo_bus.model_identification import told_model

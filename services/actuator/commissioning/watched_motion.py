@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 
 UNWATCHED = "a wrong direction or a wrong id shows only without --yes, to someone who watches: do that before the robot walks"

@@ -4,6 +4,7 @@ It uses no thread and no sleep; time comes from a clock argument. In the loop on
 and out-of-order frames are counted by reason.
 """
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
 
@@ -39,7 +40,7 @@ _OTHER_GOALS_US = 5_000  # [us] after the newest goals from which goals count as
 _NS_PER_US = 1_000
 
 
-class BridgeLink:
+class BridgeLink(ABC):
     """Session with a microcontroller that drives servos; arrays are in their list order."""
 
     def __init__(
@@ -314,12 +315,13 @@ class BridgeLink:
             if taken_us - self._taken_us[1] > _OTHER_GOALS_US:
                 self._taken_us = (self._taken_us[1], taken_us)
 
+    @abstractmethod
     def _forget(self) -> None:
         """Forget what depends on the clock of a microcontroller that has restarted."""
 
+    @abstractmethod
     def _note(self, state: State, index: int, stamp_ns: int) -> None:
         """Store what a state tells of one servo."""
-        raise NotImplementedError
 
 
 def _rounded(values: NDArray[np.floating]) -> tuple[int, ...]:

@@ -249,7 +249,7 @@ class ServoBus:
 
     def echo_problem(self) -> Problem | None:
         """Return the problem of an adapter that returns what is sent although none is set, or the reverse; else None."""
-        # The id is one byte: in no protocol is its answer as long as the request, with the same bytes.
+        # The id has one byte, so its answer is shorter than the request in every protocol, or has other bytes.
         servo_id = self.servo_ids[0]
         register = self.model_of(servo_id).table.id
         found = self._line.echoes(self._protocol.read(servo_id, register.address, register.size))

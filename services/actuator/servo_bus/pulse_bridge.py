@@ -166,6 +166,9 @@ class PulseBridge(BridgeLink):
             return True
         return self.state.heard >= self._sent_on if self._torque else self.state.mode is Mode.OFF
 
+    def _forget(self) -> None:
+        """Do nothing: no pulses are compared by that clock."""
+
     def _note(self, state: State, index: int, stamp_ns: int) -> None:
         self._had_pulses[index] |= state.age[index] != NEVER and self._torque is not False
 

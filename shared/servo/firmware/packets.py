@@ -61,7 +61,10 @@ class Protocol1:
             return 0, False, None
         if data[2] == 0xFF or not 2 <= data[3] <= max_parameters + 2:
             return 1, True, None
-        size = data[3] + 4
+        return self._checked(data, data[3] + 4)
+
+    def _checked(self, data: bytes, size: int) -> tuple:
+        """Check the sum of the first packet, of `size` bytes; see `next_packet`."""
         if len(data) < size:
             return 0, False, None
         if sum(data[2:size]) & 0xFF != 0xFF:
@@ -149,14 +152,9 @@ class LewanSoul(Protocol1):
         """Find the first answer after a header; see `Protocol1.next_packet`."""
         if len(data) < 5:
             return 0, False, None
-        size = data[3] + 3
         if data[2] > BROADCAST_ID or data[3] != READS.get(data[4], -1) + 3:
             return 1, True, None
-        if len(data) < size:
-            return 0, False, None
-        if sum(data[2:size]) & 0xFF != 0xFF:
-            return 1, True, None
-        return size, False, (data[2], data[4], data[5 : size - 1])
+        return self._checked(data, data[3] + 3)
 
     def answer_code(self, request: bytes) -> int:
         """Return the command of a request."""

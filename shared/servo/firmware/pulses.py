@@ -14,6 +14,7 @@ LEG_US = 500_000  # [us] between the first pulses of two legs
 PER_LEG = 3  # servos that get their first pulses together
 READ_BACK = 3  # channels that are read back in a cycle
 LONGEST_US = 100_000  # [us] between two goals for which a speed limit is integrated
+UNIT_US = 100_000  # [us] in which 1 mrad/s moves by 0.1 mrad
 TIMEOUT_US = 20_000  # [us] of a transfer
 
 _MODE1, _LED0, _ALL_LED, _PRE_SCALE, _MODE2 = 0x00, 0x06, 0xFA, 0xFE, 0x01
@@ -278,7 +279,7 @@ class PulseFirmware(Firmware):
             if not servo.count and not (servo.waits and index // PER_LEG == self._leg):
                 continue
             if servo.count and servo.goal is not None and speed:
-                most = max(speed * elapsed_us // LONGEST_US, 1)
+                most = max(speed * elapsed_us // UNIT_US, 1)
                 goal = servo.goal + min(max(goal - servo.goal, -most), most)
             servo.goal = goal
             if not runs or runs[-1][-1][0].servo_id + 1 != servo.servo_id or servo.servo_id % CHANNELS == 0:

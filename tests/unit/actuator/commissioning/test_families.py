@@ -5,11 +5,11 @@ from datetime import date
 import numpy as np
 import pytest
 
-from sextant.services.actuator.commissioning import set_ids
+from sextant.services.actuator.commissioning import bus_survey, set_ids
+from sextant.services.actuator.commissioning.bus_survey import Line
 from sextant.services.actuator.commissioning.calibration import calibrate
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
 from sextant.services.actuator.commissioning.limited_motion import torque_words
-from sextant.services.actuator.commissioning.set_ids import Line
 from sextant.services.actuator.commissioning.torque_off import torque_off
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.command_bus import bus_of
@@ -49,7 +49,7 @@ def test_ids_of_18_new_servos_are_set(name: str) -> None:
     for register, value in {**model.joint_settings, table.baud_rate: model.rate_code(model.bus_rate)}.items():
         assert (bank.column(register) == value).all(), register.name
     assert not bank.column(table.torque_enable).any()
-    assert set_ids.verdict(set_ids.scan(line(desk)), desk.profile) == []
+    assert bus_survey.verdict(bus_survey.scan(line(desk)), desk.profile) == []
 
 
 def test_eeprom_of_feetech_servo_is_unlocked_for_its_id_and_locked_again() -> None:
@@ -105,7 +105,7 @@ def test_gain_that_differs_from_the_profile_is_named() -> None:
     bank = desk.bench._servos
     assert bank.table.position_gain is not None
     bank.column(bank.table.position_gain)[4] = 400
-    (problem,) = set_ids.verdict(set_ids.scan(line(desk)), desk.profile)
+    (problem,) = bus_survey.verdict(bus_survey.scan(line(desk)), desk.profile)
     assert "has a position p gain of 400, 640 in the profile" in problem.words
 
 

@@ -5,10 +5,10 @@ from datetime import date
 import numpy as np
 import pytest
 
-from sextant.services.actuator.commissioning import set_ids
+from sextant.services.actuator.commissioning import bus_survey, set_ids
+from sextant.services.actuator.commissioning.bus_survey import Line
 from sextant.services.actuator.commissioning.calibration import calibrate
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
-from sextant.services.actuator.commissioning.set_ids import Line
 from sextant.services.actuator.commissioning.torque_off import torque_off
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.triage import rates_of_all, usual_rates
@@ -46,7 +46,7 @@ def test_ids_of_new_servos_are_set_by_the_registers_of_their_joints(profile) -> 
     for row, (servo_id, model) in enumerate(profile.servo_models.items()):
         for register, value in {**model.joint_settings, model.table.id: servo_id}.items():
             assert int.from_bytes(desk.bench._servos.read(row, register.address, register.size), "little") == value
-    assert set_ids.verdict(set_ids.scan(line(desk), range(20)), profile) == []
+    assert bus_survey.verdict(bus_survey.scan(line(desk), range(20)), profile) == []
 
 
 @EACH

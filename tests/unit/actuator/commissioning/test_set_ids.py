@@ -10,8 +10,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from sextant.services.actuator.commissioning import set_ids
-from sextant.services.actuator.commissioning.set_ids import Line, OtherServosError
+from sextant.services.actuator.commissioning import bus_survey, set_ids
+from sextant.services.actuator.commissioning.bus_survey import Line
+from sextant.services.actuator.commissioning.set_ids import OtherServosError
 from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus
 from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.actuator.servo_bus.triage import Opener, other_family, usual_rates
@@ -63,12 +64,12 @@ def assert_set_up(desk: Desk) -> None:
 
 def test_scan_of_healthy_robot_lists_servos_without_problems() -> None:
     desk = Desk()
-    found = set_ids.scan(line(desk))
+    found = bus_survey.scan(line(desk))
     assert [one.seen.servo_id for one in found] == sorted(PHANTOMX.servo_names)
     assert {one.rate for one in found} == {BAUD_RATE}
     assert desk.rates == list(usual_rates(desk.profile.servo_model))
-    assert set_ids.verdict(found, PHANTOMX) == []
-    table = set_ids.in_words(found, PHANTOMX).splitlines()
+    assert bus_survey.verdict(found, PHANTOMX) == []
+    table = bus_survey.in_words(found, PHANTOMX).splitlines()
     assert len(table) == 19
     assert table[9].split() == ["9", "1000000", "AX-12A", "24", "12.5", "V", "25", "deg", "C", "left", "rear", "femur"]
 
@@ -77,7 +78,7 @@ def test_scan_writes_no_register() -> None:
     desk = Desk(fresh=True)
     desk.bench.plug(range(3))
     before = desk.tables[:, :36].copy()
-    set_ids.scan(line(desk))
+    bus_survey.scan(line(desk))
     assert (desk.tables[:, :36] == before).all()
     assert not desk.bench.counts.instructions[dxl.Instruction.WRITE]
 
@@ -87,7 +88,7 @@ def test_scan_problems_name_leg_and_joint_with_advice() -> None:
     desk.bench.unplug([desk.row(12)])
     desk.tables[desk.row(16), dxl.MODEL_NUMBER.address] = 64
     desk.change(7, dxl.ID, 200)
-    wrong = {problem.words: problem.advice for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)}
+    wrong = {problem.words: problem.advice for problem in bus_survey.verdict(bus_survey.scan(line(desk)), PHANTOMX)}
     assert all(wrong.values())
     assert set(wrong) == {
         "servo 12 (right rear tibia) does not answer",
@@ -102,7 +103,7 @@ def test_voltage_heat_and_latched_overload_are_named() -> None:
     desk.bench._servos.charge = 0.1
     desk.bench._servos.temperature[desk.row(6)] = 64.0
     desk.bench._servos._latched_errors[desk.row(17)] = ServoError.OVERLOAD
-    words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)]
+    words = [problem.words for problem in bus_survey.verdict(bus_survey.scan(line(desk)), PHANTOMX)]
     assert len(words) == 3
     assert "each of the 18 servos has 10.1 V, at least 10.5 V expected: charge the battery" in words
     assert any(one.startswith("servo 6 (right front tibia)") and "64 deg C hot, its limit is 70" in one for one in words)
@@ -113,7 +114,7 @@ def test_reset_rx_64_is_found_at_factory_baud_rate() -> None:
     desk = Desk(RX)
     lost = RX.legs[3].servo_ids[1]
     desk.reset(lost)
-    words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), RX)]
+    words = [problem.words for problem in bus_survey.verdict(bus_survey.scan(line(desk)), RX)]
     assert f"servo {lost} (right rear femur) does not answer, but the servo behind it does" in words
     reset = f"servo 1 answers at 57143 baud, 1000000 expected; a reset sets id 1: this may be servo {lost} (right rear femur)"
     assert reset in words
@@ -398,8 +399,8 @@ HARMFUL = [
 def test_unsafe_limits_and_protections_are_named_and_restored(register: Register, value: int, words: str) -> None:
     desk = Desk()
     desk.change(9, register, value)
-    found = set_ids.scan(line(desk))
-    (problem,) = set_ids.verdict(found, PHANTOMX)
+    found = bus_survey.scan(line(desk))
+    (problem,) = bus_survey.verdict(found, PHANTOMX)
     assert problem.words.startswith(f"servo 9 (left rear femur) {words}")
     assert "set-id` with this servo alone on the bus and type its leg and joint to restore safe values" in problem.advice
     desk.bus().setup()  # the set-up by an actuator does not change it
@@ -409,27 +410,27 @@ def test_unsafe_limits_and_protections_are_named_and_restored(register: Register
     set_ids.set_ids(line(desk), PHANTOMX, Builder(["left rear femur", "q"]))
     desk.bench._plugged.update(others)
     desk.bench._find_listeners()
-    assert set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX) == []
+    assert bus_survey.verdict(bus_survey.scan(line(desk)), PHANTOMX) == []
 
 
 def test_sufficient_angle_limits_and_extra_shutdown_bits_are_accepted() -> None:
     desk = Desk()
     for register, value in ((dxl.CW_ANGLE_LIMIT, 100), (dxl.CCW_ANGLE_LIMIT, 900), (dxl.SHUTDOWN, 0x25)):
         desk.change(9, register, value)
-    assert set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX) == []
+    assert bus_survey.verdict(bus_survey.scan(line(desk)), PHANTOMX) == []
 
 
 @pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
 def test_data_sheet_registers_give_no_problems(profile: RobotProfile) -> None:
-    assert set_ids.verdict(set_ids.scan(line(Desk(profile))), profile) == []
+    assert bus_survey.verdict(bus_survey.scan(line(Desk(profile))), profile) == []
 
 
 def test_servos_outside_scan_range_are_not_reported_missing() -> None:
     desk = Desk()
     desk.bench.unplug([desk.row(i) for i in (9, 11)])
     asked = range(5, 12)
-    found = set_ids.scan(line(desk), asked)
-    assert [one.words for one in set_ids.verdict(found, PHANTOMX, asked)] == [
+    found = bus_survey.scan(line(desk), asked)
+    assert [one.words for one in bus_survey.verdict(found, PHANTOMX, asked)] == [
         "servo 9 (left rear femur) and servo 11 (left rear tibia) do not answer"
     ]
 
@@ -446,19 +447,19 @@ def new_servo_at_joint_one(*others: int) -> Desk:
 @pytest.mark.parametrize("others", [(), (3, 5)])
 def test_new_servo_is_not_taken_for_the_joint_with_its_id(others: tuple[int, ...]) -> None:
     desk = new_servo_at_joint_one(*others)
-    found = set_ids.scan(line(desk))
-    (one,) = [problem for problem in set_ids.verdict(found, PHANTOMX) if problem.words.startswith("servo 1 ")]
+    found = bus_survey.scan(line(desk))
+    (one,) = [problem for problem in bus_survey.verdict(found, PHANTOMX) if problem.words.startswith("servo 1 ")]
     assert one.words.startswith("servo 1 (left front coxa) has factory settings, so it may be a new servo of another joint")
     assert one.advice.endswith("type the leg and joint where it is mounted")
-    assert re.search(r"^  1 .* left front coxa\?$", set_ids.in_words(found, PHANTOMX), re.MULTILINE)
+    assert re.search(r"^  1 .* left front coxa\?$", bus_survey.in_words(found, PHANTOMX), re.MULTILINE)
 
 
 def test_servo_with_factory_settings_is_that_of_its_joint_if_all_answer() -> None:
     desk = Desk()
     desk.change(1, dxl.RETURN_DELAY, 250)
-    found = set_ids.scan(line(desk))
-    assert set_ids.verdict(found, PHANTOMX) == []
-    assert "left front coxa?" not in set_ids.in_words(found, PHANTOMX)
+    found = bus_survey.scan(line(desk))
+    assert bus_survey.verdict(found, PHANTOMX) == []
+    assert "left front coxa?" not in bus_survey.in_words(found, PHANTOMX)
 
 
 def test_return_delay_tells_nothing_if_another_program_has_set_up_the_servos() -> None:
@@ -466,7 +467,7 @@ def test_return_delay_tells_nothing_if_another_program_has_set_up_the_servos() -
     for i in desk.profile.servo_names:
         desk.change(i, dxl.RETURN_DELAY, 250)
     desk.bench.unplug([desk.row(11)])
-    words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)]
+    words = [problem.words for problem in bus_survey.verdict(bus_survey.scan(line(desk)), PHANTOMX)]
     assert words == ["servo 11 (left rear tibia) does not answer"]
 
 
@@ -474,5 +475,5 @@ def test_all_servos_missing_is_one_problem_besides_unknown_ids() -> None:
     desk = Desk()
     desk.change(9, dxl.ID, 200)
     desk.bench.unplug([row for row in range(18) if row != desk.row(200)])
-    told = [one.words for one in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX, each=False)]
+    told = [one.words for one in bus_survey.verdict(bus_survey.scan(line(desk)), PHANTOMX, each=False)]
     assert told == ["none of 18 servos answers", "servo 200 is not one of the robot's servos"]

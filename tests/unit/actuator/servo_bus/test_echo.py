@@ -2,8 +2,9 @@
 
 import pytest
 
+from sextant.services.actuator.commissioning.bus_survey import Line
 from sextant.services.actuator.commissioning.limited_motion import ready
-from sextant.services.actuator.commissioning.set_ids import Line, set_ids
+from sextant.services.actuator.commissioning.set_ids import set_ids
 from sextant.services.actuator.commissioning.single_servo import NotReadyError, identify
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus import triage

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.services.actuator.commissioning.set_ids import Line, hampered, scan, verdict
+from sextant.services.actuator.commissioning.bus_survey import Line, hampered, scan, verdict
 from sextant.services.actuator.config import Settings
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
 from sextant.services.actuator.servo_bus.group_writes import GroupWrites

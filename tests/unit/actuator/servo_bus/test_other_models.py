@@ -4,8 +4,9 @@ from itertools import permutations
 
 import pytest
 
-from sextant.services.actuator.commissioning import set_ids
-from sextant.services.actuator.commissioning.set_ids import Line, OtherServosError
+from sextant.services.actuator.commissioning import bus_survey, set_ids
+from sextant.services.actuator.commissioning.bus_survey import Line
+from sextant.services.actuator.commissioning.set_ids import OtherServosError
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import BusResponse
@@ -42,17 +43,17 @@ def test_each_servo_is_named_by_its_model(there: str, expected: str) -> None:
 def test_its_torque_is_read_where_it_has_it(there: str, expected: str) -> None:
     desk, table = Desk(robot_with(there)), MODEL_NAMED[there].table
     line = Line(lambda rate: bus_for(desk, expected))
-    assert not set_ids.holding(set_ids.scan(line, range(1, 4)), robot_with(expected))
+    assert not bus_survey.holding(bus_survey.scan(line, range(1, 4)), robot_with(expected))
     desk.change(2, table.torque_enable, 1)
-    assert "servo 2" in set_ids.holding(set_ids.scan(line, range(1, 4)), robot_with(expected))
+    assert "servo 2" in bus_survey.holding(bus_survey.scan(line, range(1, 4)), robot_with(expected))
 
 
 @EACH
 def test_row_of_a_table_has_measurements_only_if_their_registers_are_known(there: str, expected: str) -> None:
     desk = Desk(robot_with(there))
-    found = set_ids.scan(Line(lambda rate: bus_for(desk, expected)), [1])
+    found = bus_survey.scan(Line(lambda rate: bus_for(desk, expected)), [1])
     alike = MODEL_NAMED[there].table.of_bus == MODEL_NAMED[expected].table.of_bus
-    row = set_ids.in_words(found, robot_with(expected)).splitlines()[1]
+    row = bus_survey.in_words(found, robot_with(expected)).splitlines()[1]
     assert there in row
     assert (" V " in row) == alike
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from sextant.services.actuator.commissioning import set_ids
+from sextant.services.actuator.commissioning import bus_survey
+from sextant.services.actuator.commissioning.bus_survey import Line
 from sextant.services.actuator.commissioning.limited_motion import ready
-from sextant.services.actuator.commissioning.set_ids import Line
 from sextant.services.actuator.servo_bus.bus_scan import Problem, call, grouped
 from sextant.services.actuator.servo_bus.servo_health import health_problems, span
 from sextant.shared.robot.profile import RobotProfile
@@ -22,8 +22,8 @@ UNGUARDED = "does not shut down for overheating, overload"
 
 def words_of(desk: Desk, profile: RobotProfile = PHANTOMX) -> list[str]:
     desk.profile = profile
-    found = set_ids.scan(Line(lambda rate: desk.bus()), profile.servo_names)
-    return [problem.words for problem in set_ids.verdict(found, profile)]
+    found = bus_survey.scan(Line(lambda rate: desk.bus()), profile.servo_names)
+    return [problem.words for problem in bus_survey.verdict(found, profile)]
 
 
 def warning_at(volts: float) -> RobotProfile:
@@ -75,12 +75,12 @@ def test_limits_of_more_than_three_servos_are_one_problem(n: int, count: int) ->
 def test_wrong_model_of_all_servos_points_to_their_own_profile() -> None:
     desk = Desk(robot_with("AX-18A"))
     desk.profile = PHANTOMX
-    found = set_ids.scan(Line(lambda rate: desk.bus()), NAMES)
-    (problem,) = set_ids.verdict(found, PHANTOMX)
+    found = bus_survey.scan(Line(lambda rate: desk.bus()), NAMES)
+    (problem,) = bus_survey.verdict(found, PHANTOMX)
     assert problem.words == "each of the 18 servos is model 18 (AX-18A), expected 12 (AX-12A)"
     assert problem.advice.startswith("give --robot your_robot.toml")
     desk.bench.unplug([desk.row(9)])
-    problems = set_ids.verdict(set_ids.scan(Line(lambda rate: desk.bus()), NAMES), PHANTOMX)
+    problems = bus_survey.verdict(bus_survey.scan(Line(lambda rate: desk.bus()), NAMES), PHANTOMX)
     assert any(problem.words.startswith("each of 17 servos (ids 1, ") for problem in problems)
 
 
