@@ -173,7 +173,6 @@ def test_notebook_of_registration_follows_the_camera(recorded: Path, tmp_path: P
 def test_notebook_of_compared_rules_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    sys.modules.pop("my_rules", None)  # of another test
     found = execute("compare_rules", **{"range(3)": "range(1)", "distance = 0.8": "distance = 0.2"})["found"]
     assert isinstance(found, dict)
     assert [trials.success.n for trials in found.values()] == [1, 1]

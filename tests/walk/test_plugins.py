@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import sys
 import tomllib
 from pathlib import Path
 
@@ -80,7 +79,6 @@ def test_documented_rule_scores_slopes_and_keeps_unknown_cells(tmp_path, monkeyp
     )
     (tmp_path / "my_rules.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    sys.modules.pop("my_rules", None)  # of another test
     profile = load_profile("phantomx_mk2")
     rise = np.tan(np.radians(20.0)) * 0.01 * np.arange(6.0)
     elevation = np.array([np.zeros(6), np.zeros(6), np.zeros(6)], dtype=np.float32)

@@ -37,7 +37,6 @@ def test_each_course_is_built_with_different_seeds(text: str) -> None:
 def test_course_and_rule_of_tutorials_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path.copy())
-    sys.modules.pop("my_rules", None)  # of another test
     (course,), (rule,) = blocks("foothold_rule.md", "toml"), blocks("foothold_rule.md", "python")
     Path("small_blocks.toml").write_text(course)
     Path("my_rules.py").write_text(rule)
@@ -53,7 +52,6 @@ def test_course_and_rule_of_tutorials_walk(tmp_path: Path, monkeypatch: pytest.M
 def test_planner_of_tutorial_walks_over_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path.copy())
-    sys.modules.pop("my_planner", None)
     (course,), (planner,) = blocks("foothold_rule.md", "toml"), blocks("step_planner.md", "python")
     Path("small_blocks.toml").write_text(course)
     Path("my_planner.py").write_text(planner)
