@@ -67,14 +67,14 @@ def faults(
     possible = {case.name: case for case in of_robot(cases, profile)}
     missing = ", ".join(case.name for case in cases if case.name not in possible)
     if not possible:
-        raise InputError(f"{missing}: hobby servos, as of {robot}, do not report this; see docs/hobby_servos.md")
+        raise InputError(f"{missing}: the servos of {robot} do not report this")
     folder = out_folder(out, "faults")
     from benchmarks.faults import table as tables
     from benchmarks.faults.batch import FILE, run_faults
 
     progress = open_progress(as_json)
     if missing:
-        progress.say(f"left out, since hobby servos do not report it: {missing}")
+        progress.say(f"left out, since the servos of {robot} do not report it: {missing}")
     if live:
         warm_up(progress)
     count = phases or (_LIVE_PHASES if live else _PHASES)

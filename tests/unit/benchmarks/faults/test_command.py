@@ -39,7 +39,7 @@ def test_live_faults_of_another_robot_and_unknown_robots_are_refused(capsys: pyt
 
 def test_faults_that_hobby_servos_do_not_report_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["faults", "sag", "servo-wrong", "--robot", "printed_ds3218"]) == WRONG_INPUT
-    assert "sag, servo-wrong: hobby servos, as of printed_ds3218, do not report this" in capsys.readouterr().err
+    assert "sag, servo-wrong: the servos of printed_ds3218 do not report this" in capsys.readouterr().err
 
 
 def test_robot_with_two_buses_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
