@@ -275,8 +275,11 @@ def on_twists(R: Array) -> Array:
 
 
 def apply(T: Array, points: ArrayLike) -> Array:
-    """Transform points (..., 3) [m] with a (4, 4) transform."""
-    return _offset(np.asarray(points, dtype=np.float64) @ T[:3, :3].T, T[:3, 3])
+    """Transform points (..., 3) [m] with a (4, 4) transform, or points (..., n, 3) with transforms (..., 4, 4)."""
+    points = np.asarray(points, dtype=np.float64)
+    if T.ndim > 2:
+        return np.asarray(points @ T[..., :3, :3].mT + T[..., None, :3, 3])
+    return _offset(points @ T[:3, :3].T, T[:3, 3])
 
 
 def from_millimetres(points_mm: NDArray[np.integer], origin: Array) -> Array:

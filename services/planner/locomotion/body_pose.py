@@ -5,6 +5,8 @@ import numpy as np
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, inverse, rotation_from_rpy, transform, yaw_of
 
+_UP = np.array([0.0, 0.0, 1.0])
+
 
 def floor_height(ground: Array) -> float:
     """Return the mean of the three highest of (6,) [m] {world} footholds.
@@ -44,10 +46,11 @@ def slope_under(stance: Array, T_world_body: Array) -> Array:
     return np.array([np.arctan(aside * np.cos(pitch)), pitch])
 
 
-def leaning(T_world_body: Array, lean: Array, stoop: float) -> Array:
-    """Return a level body pose (4, 4) with a lean and a lower height.
+def leaning(T_world_body: Array, lean: Array, stoop: Array | float) -> Array:
+    """Return a level body pose (4, 4) with leans and lower heights, (..., 4, 4).
 
-    The lean is roll and pitch (2,) [rad]; `stoop` [m] lowers the body.
+    A lean is roll and pitch (..., 2) [rad]; `stoop` (...) [m] lowers the body.
     """
-    R = rotation_from_rpy([*lean, yaw_of(T_world_body)])
-    return transform(R, T_world_body[:3, 3] - [0.0, 0.0, stoop])
+    rpy = np.empty((*lean.shape[:-1], 3))
+    rpy[..., :2], rpy[..., 2] = lean, yaw_of(T_world_body)
+    return transform(rotation_from_rpy(rpy), T_world_body[:3, 3] - np.multiply.outer(stoop, _UP))

@@ -1,6 +1,6 @@
 """Plan one step: footholds and body pose, or the reason why there is none."""
 
-from collections.abc import Iterator, Set
+from collections.abc import Set
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -25,7 +25,7 @@ from sextant.services.planner.locomotion.swing_clearance import swing_clearance
 from sextant.services.planner.locomotion.swing_motion import shortest_swing_s
 from sextant.services.planner.terrain import Terrain
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
-from sextant.shared.robot.kinematics import body_inverse, within_limits
+from sextant.shared.robot.kinematics import reaches
 from sextant.shared.robot.profile import LEGS, RobotProfile
 from sextant.shared.robot.stability import resting_centre_of_mass, support_margin
 from sextant.shared.wire.messages import VelocityCommand
@@ -34,7 +34,7 @@ from sextant.shared.wire.messages import VelocityCommand
 # that stays too near its coxa axis, and a short one finds no foothold across.
 SHARES = (1.0, 0.7, 0.45, 0.35, 0.25)
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
-_LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the ground's slope by which the body may lean
+_LEANS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # shares of the ground's slope by which the body may lean
 _ASIDE, _AROUND = (0.02, 0.04, 0.06), np.arange(8) * np.pi / 4  # [m] and [rad] of body shifts that make room for a leg
 
 
@@ -357,20 +357,23 @@ class StepPlanner:
         # An unsuitable place does not justify a lower body.
         wanted = ~at.swing | (terrain.suitability(nominal) > NONE)
         lowest = max(floor + self._profile.stance.body_height_range[0], now - climb)
-        second_best = T_end, T_after
-        for lean, stoop in self._postures(at.T_world_body, slope_under(stance, T_end), height - lowest):
-            spare = np.array([0.0, 0.0, self._params.reach_margin_m]) if stoop > 0.0 or lean.any() else np.zeros(3)
-            feet = np.where(at.swing[:, None], stance + self._foot_up, at.feet) - spare
-            end, after = leaning(T_end, lean, stoop), leaning(T_after, lean, stoop)
-            reached = self.reached(feet, end) & (self.reached(feet, after) | ~at.swing)
-            if reached[wanted].all():
-                return end, after
-            if reached[~at.swing].all() and second_best[0] is T_end:
-                second_best = end, after
-        return second_best
+        leans, stoops = self._postures(at.T_world_body, slope_under(stance, T_end), height - lowest)
+        feet = np.where(at.swing[:, None], stance + self._foot_up, at.feet)
+        second_best: tuple[Array, Array] | None = None
+        for some in (slice(1), slice(1, None)):  # mostly the first one will do
+            ends, afters = leaning(T_end, leans[some], stoops[some]), leaning(T_after, leans[some], stoops[some])
+            spare = np.where((stoops[some] > 0.0) | leans[some].any(axis=1), self._params.reach_margin_m, 0.0)
+            wanted_feet = feet - spare[:, None, None] * np.array([0.0, 0.0, 1.0])
+            reached = self.reached(wanted_feet, ends) & (self.reached(wanted_feet, afters) | ~at.swing)
+            best, second = reached[:, wanted].all(axis=1), reached[:, ~at.swing].all(axis=1)
+            if best.any():
+                return ends[best.argmax()], afters[best.argmax()]
+            if second_best is None and second.any():
+                second_best = ends[second.argmax()], afters[second.argmax()]
+        return second_best or (T_end, T_after)
 
-    def _postures(self, T_world_body: Array, slope: Array, room: float) -> Iterator[tuple[Array, float]]:
-        """Yield possible leans (2,) [rad] (roll, pitch) and height reductions [m].
+    def _postures(self, T_world_body: Array, slope: Array, room: float) -> tuple[Array, Array]:
+        """Return possible leans (n, 2) [rad] (roll, pitch) and height reductions (n,) [m].
 
         They are ordered by departure from level and from the commanded height.
 
@@ -382,15 +385,13 @@ class StepPlanner:
         params = self._params
         most = min(1.0, np.radians(params.max_lean_deg) / max(float(np.linalg.norm(slope)), 1e-9))
         now, change = rpy_from_rotation(T_world_body[:3, :3])[:2], np.radians(params.max_tilt_deg)
-        for share in _LEANS:
-            lean = np.clip(share * most * slope, now - change, now + change)
-            for stoop in _STOOPS[(_STOOPS == 0.0) | (room >= _STOOPS)].tolist():
-                yield lean, stoop
+        leans = np.clip(_LEANS[:, None] * most * slope, now - change, now + change)
+        stoops = _STOOPS[(_STOOPS == 0.0) | (room >= _STOOPS)]
+        return np.repeat(leans, len(stoops), axis=0), np.tile(stoops, len(leans))
 
     def reached(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
-        """Return which legs (6,) reach their feet (6, 3) [m] {world}."""
-        q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
-        return np.asarray(within_limits(self._profile, q).all(axis=1))
+        """Return which legs (..., 6) reach their feet (..., 6, 3) [m] {world} from body poses (..., 4, 4)."""
+        return reaches(self._profile, apply(inverse(T_world_body), feet_world))
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Return which leg would be overstretched at the end of the step, or ""."""
