@@ -45,8 +45,6 @@ def share_out(
             for future in running if in_order else as_completed(running):
                 yield future.result()
         except BaseException:  # an error, or the caller has stopped
-            for future in running:
-                future.cancel()
             for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
             raise

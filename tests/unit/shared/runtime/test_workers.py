@@ -32,7 +32,7 @@ def test_worker_process_uses_one_compute_thread(monkeypatch: pytest.MonkeyPatch)
 
 def test_failed_task_terminates_remaining_workers() -> None:
     with pytest.raises(ZeroDivisionError):
-        list(share_out(_divide_or_sleep, [(1, 0), (1, 600), (1, 600)], 2))
+        list(share_out(_divide_or_sleep, [(1, 0), *8 * [(1, 600)]], 2))
     assert not multiprocessing.active_children()
 
 
