@@ -88,6 +88,8 @@ def _keep(part: Part, folders: list[Path]) -> None:
     """Copy what the commands left to docs/."""
     kept = DOCS / part.kept
     if not part.of_trials:
+        if not (folders[0] / part.result).exists():
+            raise PartError(f"{folders[0] / part.result} expected, found none; the command says why")
         whole_files.write_text(kept, (folders[0] / part.result).read_text(encoding="utf-8"), durable=True)
         return
     runs = [run for path in results_store.files(folders) for run in results_store.read(path)]

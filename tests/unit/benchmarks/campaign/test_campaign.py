@@ -168,6 +168,10 @@ def test_failed_limit_is_kept_and_failed_command_is_not(docs: Path, tmp_path: Pa
     monkeypatch.setattr(run, "_status", lambda *_: 2)
     with pytest.raises(run.PartError, match="exit status 0 or 1 expected, found 2"):
         run.run(PART, tmp_path, "", math.inf, lambda _: None)
+    (tmp_path / "size.json").unlink()
+    monkeypatch.setattr(run, "_status", lambda *_: 1)
+    with pytest.raises(run.PartError, match=r"size.json expected, found none"):
+        run.run(PART, tmp_path, "", math.inf, lambda _: None)
     monkeypatch.setattr(run, "_status", lambda *_: None)
     assert run.run(PART, tmp_path, "", math.inf, lambda _: None) is None
     assert not (docs / "size.json").exists()
