@@ -302,7 +302,7 @@ CASES: tuple[Case, ...] = (
     Case("hot-reading", "one servo's temperature reads 85 deg C for 0.25 s", (_bus("servo", "hot", 0.25),), _CALM),
     Case(
         "drain",
-        "the battery, 12 % full, runs empty within 60 s",
+        "the battery, nearly empty, runs empty within 60 s",
         (_bus("supply", "drain", 60.0),),
         Limits(torque_stays=False, seated=True),
         charge=0.12,

@@ -28,7 +28,8 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
     - Servos with heavy rotors set their feet down more slowly, and overshoot a commanded speed.
     - Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. Wrong
       answers of their board may mean that all pulses are lost; then the robot stands until the operator has laid it down.
-    - A constant supply, as of the RX-64 robot, does not run empty.
+    - A constant supply, as of the RX-64 robot, does not run empty. The voltage of a battery falls with the current, so a nearly
+      empty one is fuller for motors that take more than those of the table.
     - Servos with commands report no errors: a shutdown has no effect on them.
     - A servo that must reboot after a shutdown has torque again only by an operator's orders.
     """
@@ -44,6 +45,8 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
         if model.errors is ServoError.NONE and ("servo", "overload") in on_bus:
             continue
         limits = _of_servos(case.limits, profile)
+        if case.charge < 1.0:
+            case = _fuller(case, profile)
         if model.commands:
             starts = any(isinstance(deed, Away) and deed.service == "actuator" and deed.kill for deed in case.deeds)
             limits = _with_commands(limits, on_bus, starts)
@@ -53,6 +56,11 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
             limits = _with_hobby_servos(limits, on_bus)
         found.append(replace(case, limits=limits))
     return found
+
+
+def _fuller(case: Case, profile: RobotProfile) -> Case:
+    taken, of_table = (motor_and_supply(one.servo)[0].stall_current for one in (profile, load_profile(_DEFAULT)))
+    return replace(case, charge=min(case.charge * max(1.0, taken / of_table), 1.0))
 
 
 def _of_servos(limits: Limits, profile: RobotProfile) -> Limits:

@@ -32,6 +32,11 @@ def test_constant_supply_does_not_run_empty() -> None:
     assert not of_robot([BY_NAME["drain"], BY_NAME["off-drain"]], load_profile("lotriet_rx64"))
 
 
+def test_nearly_empty_battery_carries_the_walk_of_a_robot_that_takes_more_current() -> None:
+    charges = [of_robot([BY_NAME["drain"]], load_profile(robot))[0].charge for robot in ("phantomx_mk2", "jethexa_hx35h")]
+    assert charges == [BY_NAME["drain"].charge, 2.0 * BY_NAME["drain"].charge]
+
+
 def test_heavy_rotors_are_set_down_more_slowly() -> None:
     light, heavy = (limits(robot, "planner-killed").rest_s for robot in ("lotriet_rx64", "printed_sts3215"))
     assert light == 0.7
