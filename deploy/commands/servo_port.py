@@ -45,8 +45,11 @@ class Bus:
         """Whether the port is at a network address."""
         return "://" in self.port
 
-    def of_robot(self) -> "tuple[Bus, RobotProfile]":
+    def of_robot(self, *, bridge: bool = False) -> "tuple[Bus, RobotProfile]":
         """Return the bus with the usual port of the robot's servos, unless one is given, and the robot's profile.
+
+        Args:
+            bridge: Whether a microcontroller is at the port.
 
         Raises:
             InputError: The robot's servos cannot be on such a port.
@@ -54,9 +57,9 @@ class Bus:
         from sextant.shared.robot.profiles import load_profile
 
         profile = load_profile(self.robot)
-        return self.checked(profile), profile
+        return self.checked(profile, bridge=bridge), profile
 
-    def checked(self, profile: "RobotProfile | None") -> "Bus":
+    def checked(self, profile: "RobotProfile | None", *, bridge: bool = False) -> "Bus":
         """Return the bus with the usual port of the robot's servos, unless one is given; None is for servos of no robot.
 
         Raises:
@@ -66,11 +69,12 @@ class Bus:
 
         servo = profile.servo if profile else None
         if not self.port:
-            return replace(self, port=servo.usual_port if servo else _DEFAULTS["port"])
+            return replace(self, port=servo.usual_port(bridge=bridge) if servo else _DEFAULTS["port"])
         if not (profile and profile.buses) and (words := wrong_ports(bus_ports(self.port), [""])):
             raise InputError(f"--port: {words}")
+        board = servo.pulses.board if servo and servo.pulses and not bridge else ""
         for port in all_ports(self.port):
-            if words := wrong_kind(port, servo.pulses.board if servo and servo.pulses else ""):
+            if words := wrong_kind(port, board):
                 raise InputError(f"--port: {words}")
         return self
 

@@ -213,7 +213,7 @@ def off(bus: Bus, bridge: bool) -> int:
 
     The latch is set first: a running actuator on this port turns torque off, and so does one that starts later.
     """
-    bus, profile = bus.of_robot()
+    bus, profile = bus.of_robot(bridge=bridge)
     return servos_off.off(bus, profile, bridge)
 
 

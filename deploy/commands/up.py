@@ -215,7 +215,7 @@ def asked(launch: Launch) -> "tuple[tuple[Process, ...], Choices, dict[str, tupl
     rows = tuple(row for row in rows if row.name not in absent)
     settings = launch.settings
     if not chosen.scenario and any(row.name == "actuator" for row in rows):
-        settings = (*_usual_port(chosen.robot), *settings)  # a later one counts
+        settings = (*_usual_port(chosen.robot, _extra(settings, rows).get("actuator", ())), *settings)  # a later one counts
     return rows, replace(chosen, camera=launch.camera and device), _extra(settings, rows)
 
 
@@ -323,12 +323,13 @@ def _has_imu(robot: str) -> bool:
     return load_profile(robot).imu.device not in ("camera", "none")
 
 
-def _usual_port(robot: str) -> tuple[str, ...]:
+def _usual_port(robot: str, settings: Sequence[str]) -> tuple[str, ...]:
     """Return the setting of the servo port where servos are usually at another one than the actuator's default."""
     from sextant.services.actuator.config import Settings
     from sextant.shared.robot.profiles import load_profile
+    from sextant.shared.runtime.process import load_settings
 
-    port = load_profile(robot).servo.usual_port
+    port = load_profile(robot).servo.usual_port(bridge=load_settings(Settings, None, settings).bridge)
     return () if port == Settings().port else (f"actuator.port={port}",)
 
 
@@ -363,10 +364,11 @@ def _servo_bus(settings: Sequence[str], robot: str) -> Bus:
     from sextant.shared.runtime.process import load_settings
     from sextant.shared.servo.bus_ports import bus_ports, find_port, wrong_kind
 
-    pulses, port = load_profile(robot).servo.pulses, load_settings(Settings, None, settings).port
-    for names in bus_ports(port).values():
+    pulses, found = load_profile(robot).servo.pulses, load_settings(Settings, None, settings)
+    board = pulses.board if pulses and not found.bridge else ""
+    for names in bus_ports(found.port).values():
         for name in names:
-            if words := wrong_kind(name, pulses.board if pulses else ""):
+            if words := wrong_kind(name, board):
                 raise InputError(f"--set actuator.port: {words}")
         if any("://" in name or Path(name).exists() for name in names):
             continue
@@ -374,7 +376,7 @@ def _servo_bus(settings: Sequence[str], robot: str) -> Bus:
             f"no servo port {' or '.join(names)}; {find_port(names[0])}; --set actuator.port=DEVICE names another, and "
             "--scenario simulates it; `sextant doctor --port` checks a port"
         )
-    return Bus(robot, port)
+    return Bus(robot, found.port)
 
 
 def _pass_on(_name: str, line: str) -> None:

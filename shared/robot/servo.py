@@ -107,10 +107,11 @@ class Servo:
         assert found is not None
         return found
 
-    @property
-    def usual_port(self) -> str:
-        """Device at which these servos usually are."""
-        return pwm.USUAL_PORTS[self.pulses.board] if self.pulses else "/dev/ttyUSB0"
+    def usual_port(self, *, bridge: bool = False) -> str:
+        """Return the device at which these servos usually are, or at which a microcontroller is that drives hobby servos."""
+        if self.pulses is None:
+            return "/dev/ttyUSB0"
+        return pwm.USUAL_PORTS["maestro" if bridge else self.pulses.board]
 
     @property
     def controller_settings(self) -> dict[Register, int]:

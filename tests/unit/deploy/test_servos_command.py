@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.commands import servo_port
+from sextant.deploy.commands import servo_port, servos_off
 from sextant.deploy.commands.servo_port import Bus
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
@@ -458,6 +458,27 @@ def test_port_is_that_of_the_board(
         assert words in capsys.readouterr().err
     assert cli.main(["up", "onboard", "--camera", "none", *robot, *(["--set", f"actuator.port={port}"] if port else [])]) == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("board", ["maestro", "pca9685"])
+@pytest.mark.parametrize("port", ["", "/dev/ttyACM3"])
+def test_port_of_a_bridge_to_hobby_servos_is_serial(
+    board: str, port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(url: str, *_: object, **__: object) -> None:
+        raise BusDisconnectedError(f"asked for {url}")
+
+    monkeypatch.setattr("sextant.services.actuator.servo_bus.bus_driver.open_port", refuse)
+    monkeypatch.setattr(servos_off, "_latch", lambda port: "")
+    monkeypatch.setattr(Path, "exists", lambda self: False)
+    own = tmp_path / "own.toml"
+    own.write_text(f'extends = "printed_ds3218"\n[servo.pulses]\nboard = "{board}"\n', encoding="utf-8")
+    robot, expected = ["--robot", str(own)], port or "/dev/ttyACM0"
+    assert cli.main(["servos", "off", "--bridge", *robot, *(["--port", port] if port else [])]) == 1
+    assert f"asked for {expected}" in capsys.readouterr().err
+    settings = ["--set", "actuator.bridge=true", *(["--set", f"actuator.port={port}"] if port else [])]
+    assert cli.main(["up", "onboard", "--camera", "none", *robot, *settings]) == 2
+    assert f"no servo port {expected};" in capsys.readouterr().err
 
 
 def test_centre_states_the_angles_at_which_horns_are_mounted(url: str, capsys: pytest.CaptureFixture[str]) -> None:
