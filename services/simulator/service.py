@@ -117,8 +117,6 @@ class Simulator:
         self.bus = self.buses[0]
         self.device: Board | BusFaults = self.bus  # device at the actuator's port, or at that of the first bus
         if settings.bridge:
-            if profile.servo.pulses is not None and profile.servo.pulses.board != "pca9685":
-                raise ConfigError("the bridge's firmware", ["PCA9685 expected, found a Maestro in [servo.pulses]"])
             try:
                 self.device = Board(self.bus, model=self._bank.model, pulses=profile.servo.pulses)
             except ValueError as error:
@@ -171,7 +169,7 @@ class Simulator:
         """Return the bus of some servos, or the board that sends them pulses."""
         if self._profile.servo.pulses is not None:
             assert isinstance(bank, ServoBank)
-            return make_board(bank, self._profile.servo.pulses)
+            return make_board(bank, self._profile.servo.pulses, on_uart=self._settings.bridge)
         return ServoBusEmulator(bank, BusTiming(bank.model.bus_rate, 0) if self._settings.bridge else None)
 
     def _give(self, buses: Sequence[BusFaults], fault: BusFault, now_ns: int) -> None:

@@ -29,7 +29,7 @@ NAME = "PWM"  # of the model in a profile
 TICKS_PER_US = 4  # position ticks in a microsecond, the resolution of a Maestro
 SPEED_TICKS_S = 100.0  # [ticks/s] unit of the goal speed: 0.25 us in 10 ms, that of a Maestro
 _WIDEST_RAD = math.pi  # largest angle of any servo, either way
-_RATE = 1_000_000  # [bit/s] of the emulated board's port
+_RATES = MappingProxyType({"maestro": 115_200, "pca9685": 1_000_000})  # [bit/s] of the board's serial line, or emulated port
 
 Board = Literal["maestro", "pca9685"]
 USUAL_PORTS = MappingProxyType({"maestro": "/dev/ttyACM0", "pca9685": "/dev/i2c-1"})
@@ -66,10 +66,12 @@ class Pulses:
         config.verify(self)
 
     @property
-    def of_board(self) -> tuple[int, ...]:
-        """Setting `PULSES` of a microcontroller that sends these pulses."""
+    def of_board(self) -> tuple[str | int, ...]:
+        """Setting `PULSES` of a microcontroller behind which the board sends these pulses."""
         whole = (round(1000 * self.us_per_rad), round(self.centre_us), round(self.range_us), round(self.rate_hz))
-        return (*whole, round(1000 * self.oscillator_mhz), self.device or pca9685.ADDRESS)
+        if self.board == "maestro":
+            return ("Maestro", *whole, self.device)
+        return ("PCA9685", *whole, round(1000 * self.oscillator_mhz), self.device or pca9685.ADDRESS)
 
     @property
     def shortest_us(self) -> float:
@@ -178,10 +180,11 @@ def model_of(pulses: Pulses) -> ServoModel:
         cast(BusProtocol, _CHANNELS[pulses.board]),
         TABLE,
         units,
-        MappingProxyType({0: _RATE}),
+        MappingProxyType({0: _RATES[pulses.board]}),
         MappingProxyType({}),
         no_load_rpm=0.0,  # that of the profile counts
         overrides=MappingProxyType({_GOAL.name: centre, _HIGH_LIMIT.name: 2 * centre}),
         errors=ServoError.NONE,
         feedback=Feedback.NONE,
+        bus_rate=_RATES[pulses.board],
     )

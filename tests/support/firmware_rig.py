@@ -17,14 +17,13 @@ from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.memory_port import MemoryPort
-from sextant.services.simulator.servo_bus.pulse_board import Pca9685Emulator
+from sextant.services.simulator.servo_bus.pulse_board import make_board
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank, make_servo_bank
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import pwm
 from sextant.shared.servo.bridge_protocol import LOAD, Limits
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.servo.firmware import board, config
-from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import ServoModel
 
 STAND_INS = Path(__file__).parent / "micropython"
@@ -84,16 +83,20 @@ class Transfers:
 class BoardFirmware:
     """The firmware behind `UartPort`s, with the interface of `Firmware`."""
 
-    def __init__(self, boot: int, now_us: int, servo: str, echo: bool, record: list[str]) -> None:
+    def __init__(
+        self, boot: int, now_us: int, model: ServoModel, echo: bool, record: list[str], pulses: pwm.Pulses | None = None
+    ) -> None:
         machine, self._record, self._echo = stand_in("machine"), record, echo
         self._now_us = now_us
         self._clock = board.Clock(self._ticks, ticks_diff)
-        rate = MODEL_NAMED[servo].bus_rate if servo in MODEL_NAMED else config.BAUD_RATE
+        servo, rate = model.name, model.bus_rate
         values = {**vars(config), "SERVO": servo, "BAUD_RATE": rate, "ECHO": echo, "DIRECTION": None if echo else 6}
+        if pulses:
+            values["PULSES"] = pulses.of_board
         settings = SimpleNamespace(**{**values, "HOST_UART": 0, "HOST_TX": 0, "HOST_RX": 1})
         self._host = board.open_host(machine, settings, None)
         self._computer = self._host._uart  # type: ignore[attr-defined]
-        if servo == pwm.NAME:
+        if pulses and pulses.board == "pca9685":
             self._bus = self._servos = Transfers()
         else:
             self._bus = board.open_bus(machine, settings)
@@ -101,7 +104,8 @@ class BoardFirmware:
             self._servos.pin = self._bus._direction
         self._began_us = now_us
         self.firmware = board.start(settings, boot, self._clock.now_us())
-        record.append(f"B,{boot},{self._ticks()},{servo},{int(echo)},{rate}")
+        words = " ".join(map(str, pulses.of_board)) if pulses else ""
+        record.append(f"B,{boot},{self._ticks()},{servo},{int(echo)},{rate},{words}")
 
     def _ticks(self) -> int:
         return (START_US + self._now_us) % TICKS
@@ -136,7 +140,7 @@ class RecordedBoard(Board):
         super().__init__(bus, model=model, pulses=pulses)
 
     def _boot(self, now_ns: int) -> Any:
-        return BoardFirmware(self.boots, now_ns // 1000, self._model.name, self._echoes, self.record)
+        return BoardFirmware(self.boots, now_ns // 1000, self._model, self._echoes, self.record, self._pulses)
 
 
 class FirmwareRig:
@@ -230,14 +234,14 @@ def exchange(model: ServoModel, echo: bool = False, seed: int = 5) -> FirmwareRi
     return rig
 
 
-def exchange_pulses(seed: int = 5) -> RecordedBoard:
-    """Return a board with hobby servos at two PCA9685 after a session with faults, as `exchange`."""
+def exchange_pulses(board_of_pulses: pwm.Board, seed: int = 5) -> RecordedBoard:
+    """Return a microcontroller with hobby servos at two PCA9685 or a Maestro after a session with faults, as `exchange`."""
     profile = load_profile("printed_ds3218")
     assert profile.servo.pulses is not None
-    pulses, channels, rng = replace(profile.servo.pulses, board="pca9685"), (0, 1, 2, 16, 17, 18), np.random.default_rng(seed)
-    assert pulses.of_board == config.PULSES
+    pulses = replace(profile.servo.pulses, board=board_of_pulses)
+    channels, rng = (0, 1, 2, 16, 17, 18), np.random.default_rng(seed)
     bank = make_servo_bank(replace(profile.servo, pulses=pulses), channels, np.zeros(6))
-    chips = Pca9685Emulator(bank, pulses)
+    chips = make_board(bank, pulses, on_uart=True)
     faults = BusFaults(chips, bank)
     made = RecordedBoard(faults, bank.model, echo=False, pulses=pulses)
     now_ns = 0

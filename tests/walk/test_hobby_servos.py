@@ -18,11 +18,9 @@ from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, ModeC
 from tests.support.walks import Heard, S, flat
 
 BOARDS: tuple[Board, ...] = ("maestro", "pca9685")
-WAYS = pytest.mark.parametrize(
-    ("board", "bridge"),
-    [("maestro", False), ("pca9685", False), ("pca9685", True)],
-    ids=["maestro", "pca9685", "pca9685 behind a bridge"],
-)
+EACH_WAY: tuple[tuple[Board, bool], ...] = (("maestro", False), ("pca9685", False), ("pca9685", True))
+WAY_NAMES = ("maestro", "pca9685", "pca9685 behind a bridge")
+WAYS = pytest.mark.parametrize(("board", "bridge"), EACH_WAY, ids=WAY_NAMES)
 
 
 def robot(board: Board) -> RobotProfile:
@@ -69,6 +67,7 @@ class Walk:
         ("maestro", False, "flat", 0.4),
         ("pca9685", False, "flat", 0.4),
         ("pca9685", True, "flat", 0.4),
+        ("maestro", True, "flat", 0.4),
         *(
             pytest.param(board, False, name, load_scenario(name).goal.distance, marks=pytest.mark.rare)
             for board in BOARDS
@@ -120,7 +119,7 @@ def test_torque_comes_leg_by_leg_after_the_operator_has_laid_the_robot_down(boar
     assert state.mode is Mode.WALK
 
 
-@WAYS
+@pytest.mark.parametrize(("board", "bridge"), [*EACH_WAY, ("maestro", True)], ids=[*WAY_NAMES, "maestro behind a bridge"])
 def test_a_board_that_restarts_gives_no_torque_by_itself(board: Board, bridge: bool) -> None:
     walk = Walk(board, bridge)
     walk.run.run(5 * S)
@@ -151,8 +150,13 @@ def test_torque_ordered_while_the_port_is_gone_stays_off_until_it_is_ordered_aga
     assert walk.torque == 18
 
 
-@WAYS
-@pytest.mark.parametrize("kind", ["silent", "gone", "intermittent", "garbage"])
+@pytest.mark.parametrize(
+    ("board", "bridge", "kind"),
+    [
+        *((board, bridge, kind) for board, bridge in EACH_WAY for kind in ("silent", "gone", "intermittent", "garbage")),
+        ("maestro", True, "garbage"),
+    ],
+)
 def test_a_board_that_is_away_stops_the_walk_and_it_goes_on_afterwards(board: Board, bridge: bool, kind: str) -> None:
     walk = Walk(board, bridge)
     walk.simulator.inject(BusFault("bus", kind, 6.0, 1.0, **({"off_ms": 300.0} if kind == "intermittent" else {})))  # type: ignore[arg-type]

@@ -300,10 +300,14 @@ class BridgeLink(ABC):
             now_ns = self._clock()
             stamp_ns = now_ns - self._remote.age_ns(state.time_us, now_ns)
             self.state, self._state_ns = state, stamp_ns
-            self.errors[:] = np.frombuffer(state.error, dtype=np.uint8)
+            self._note_errors(state)
             self._note_goals(state)
             for index in range(len(self)):
                 self._note(state, index, stamp_ns)
+
+    def _note_errors(self, state: State) -> None:
+        """Store the error bits of the servos."""
+        self.errors[:] = np.frombuffer(state.error, dtype=np.uint8)
 
     def _note_goals(self, state: State) -> None:
         """Store when the microcontroller accepted the newest goals.

@@ -1,10 +1,11 @@
-"""Driver for hobby servos behind a microcontroller whose PCA9685 send the pulses; see docs/bridge.md for the protocol.
+"""Driver for hobby servos behind a microcontroller with a board that sends the pulses; see docs/bridge.md for the protocol.
 
 A state of the microcontroller has the pulses that were read back, as angles, in place of measurements. Goals, torque and speeds
 have the form of registers, as in `pwm_servos`. It uses no thread and no sleep; time comes from a clock argument.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 from sextant.services.actuator.servo_bus.bridge_link import SILENT_NS, BridgeLink
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, Port, ServoReading
 from sextant.services.actuator.servo_bus.pwm_servos import LOST_PULSES, PER_LEG, TURNING, settings_block
+from sextant.shared.servo import maestro
 from sextant.shared.servo.bridge_protocol import AGE_UNIT_US, ANGLE_RAD, NEVER, Mode, State
-from sextant.shared.servo.firmware.pulses import PulseModel
+from sextant.shared.servo.firmware.pulse_senders import sender_for
 from sextant.shared.servo.pwm import Pulses, model_of
 from sextant.shared.servo.servo_model import Register
 
@@ -34,8 +36,9 @@ class PulseBridge(BridgeLink):
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             pulses: The pulses, for which the board must be configured.
         """
-        advice = f'set SERVO = "PWM" and PULSES = {pulses.of_board} in the board\'s config.py'
-        super().__init__(port, channels, clock, model_of(pulses), PulseModel(pulses.of_board).name, advice)
+        advice, model = f'set SERVO = "PWM" and PULSES = {pulses.of_board} in the board\'s config.py', model_of(pulses)
+        super().__init__(port, channels, clock, model, sender_for(pulses.of_board, model.bus_rate).name, advice)
+        self._board_errors: Counter[str] = Counter()  # reports of a Maestro
         self.between: Callable[[], None] = _nothing  # called before each request outside the loop
         self._sent_on = 0  # number of the newest order that turns torque on or off
         self._had_pulses: NDArray[np.bool_] = np.zeros(len(channels), dtype=np.bool_)  # since that order
@@ -54,6 +57,11 @@ class PulseBridge(BridgeLink):
         if not found and self.newest_age_s > SILENT_NS * 1e-9:
             return f"the board of the servos has been silent for {self.newest_age_s:.1f} s"
         return found
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Unusable frames and requests, and errors of the board, by reason."""
+        return super().lost + self._board_errors
 
     @property
     def missed(self) -> NDArray[np.int64]:
@@ -88,7 +96,10 @@ class PulseBridge(BridgeLink):
         until = self._clock() + _ADOPTED_NS
         while self.state is None or self.state.mode is Mode.ADOPTING:
             if self._clock() >= until:
-                raise BusSetupError("the bridge does not tell which pulses its PCA9685 send; check their cable and power")
+                raise BusSetupError(
+                    f"the bridge does not tell which pulses the {self.model.protocol.NAME} behind it sends; "
+                    "check its cable and power"
+                )
             self._pump()
 
     def read(self, servo_id: int, register: Register) -> int | None:
@@ -165,6 +176,12 @@ class PulseBridge(BridgeLink):
         if self.state is None or self._torque is None:
             return True
         return self.state.heard >= self._sent_on if self._torque else self.state.mode is Mode.OFF
+
+    def _note_errors(self, state: State) -> None:
+        """Count the errors that a Maestro has reported; servos report none."""
+        for errors in state.error:
+            if errors:
+                self._board_errors[f"Maestro: {maestro.error_words(errors) or 'unknown error'}"] += 1
 
     def _forget(self) -> None:
         """Do nothing: no pulses are compared by that clock."""

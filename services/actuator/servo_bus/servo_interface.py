@@ -245,13 +245,8 @@ def _stiffness(servos: Sequence[Servo]) -> list[float]:
 
 def behind_pulse_bridge(profile: RobotProfile, port: Port, clock: Callable[[], int]) -> PulseBridge:
     """Return the hobby servos of a robot behind a microcontroller on an open port."""
-    pulses = profile.servo.pulses
-    if pulses is None or pulses.board != "pca9685":
-        raise BusSetupError(
-            f"a bridge to PCA9685 expected, found a Maestro in the profile {profile.name}; connect it to the computer, and "
-            'turn the setting `bridge` off, or set board = "pca9685" in the table [servo.pulses]'
-        )
-    return PulseBridge(port, list(profile.servo_names), clock, pulses)
+    assert profile.servo.pulses is not None
+    return PulseBridge(port, list(profile.servo_names), clock, profile.servo.pulses)
 
 
 def on_port(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:

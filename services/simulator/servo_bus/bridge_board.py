@@ -42,7 +42,7 @@ class Board:
             bus: The servo bus at the rate of the model, without the delay of a USB adapter.
             link: Delays of the link to the host; by default 1 Mbit/s and a USB frame.
             model: The servos for which the board is configured.
-            pulses: Their pulses, if they are hobby servos at PCA9685.
+            pulses: Their pulses, if they are hobby servos.
 
         Raises:
             ValueError: The firmware does not know the servos.

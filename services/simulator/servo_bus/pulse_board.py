@@ -17,6 +17,7 @@ from sextant.shared.servo.pwm import TICKS_PER_US, Pulses
 
 _SEC = 1_000_000_000
 _USB_NS = 1_000_000  # [ns] of a USB transaction
+_BITS_PER_BYTE = 10
 _BOARD = 255  # sender of the answers, for faults; no channel has this number
 _I2C_BIT_NS = 2_500  # [ns] of a bit at 400 kbit/s; each byte has an acknowledgement, too
 
@@ -93,15 +94,19 @@ class PulseBoardEmulator(AnswersOnly):
 class MaestroEmulator(PulseBoardEmulator):
     """Mini Maestro 24 whose channels start without pulses and ignore errors; both of its protocols."""
 
-    def __init__(self, bank: ServoBank, pulses: Pulses) -> None:
-        """Connect a bank of servos."""
+    def __init__(self, bank: ServoBank, pulses: Pulses, *, on_uart: bool = False) -> None:
+        """Connect a bank of servos; the host is at its UART, or at USB."""
         super().__init__(bank, pulses)
+        self._byte_ns = _BITS_PER_BYTE * _SEC // bank.model.bus_rate if on_uart else 0
+        self._delay_ns = 0 if on_uart else _USB_NS
+        self._in_free_ns = self._out_free_ns = 0  # [ns] times up to which the UART is busy, per direction
         self._parser = maestro.CommandParser(pulses.device or maestro.DEVICE)
         start = {channel: round(width * TICKS_PER_US) for channel, width in self._start.items()}
         self._targets = [start.get(channel, maestro.OFF) for channel in range(maestro.MAX_CHANNELS)]  # [quarter us]
 
     def restart(self, now_ns: int) -> None:
         """Lose the power of the board: no channel has pulses afterwards."""
+        self._parser = maestro.CommandParser(self._pulses.device or maestro.DEVICE)
         self._targets = [maestro.OFF] * maestro.MAX_CHANNELS
         self._change(now_ns, dict.fromkeys(range(maestro.MAX_CHANNELS), 0.0))
 
@@ -109,10 +114,12 @@ class MaestroEmulator(PulseBoardEmulator):
         """Process bytes that the host sends at a time [ns], and return the answers."""
         self.overhear(data, now_ns)
         replies = []
+        self._in_free_ns = max(now_ns, self._in_free_ns) + len(data) * self._byte_ns
         for packet in self._parser.feed(data):
             self.counts.commands[packet.command.name] += 1
-            if answer := self._execute(packet, now_ns):
-                replies.append(Reply(now_ns + _USB_NS, answer, _BOARD))
+            if answer := self._execute(packet, self._in_free_ns):
+                self._out_free_ns = max(self._in_free_ns, self._out_free_ns) + len(answer) * self._byte_ns
+                replies.append(Reply(self._out_free_ns + self._delay_ns, answer, _BOARD))
         return replies
 
     def _execute(self, packet: maestro.Packet, now_ns: int) -> bytes:
@@ -184,9 +191,9 @@ class Pca9685Emulator(PulseBoardEmulator):
         return dict(enumerate(widths))
 
 
-def make_board(bank: ServoBank, pulses: Pulses) -> MaestroEmulator | Pca9685Emulator:
-    """Return the emulated board of a profile with a bank of servos."""
-    return MaestroEmulator(bank, pulses) if pulses.board == "maestro" else Pca9685Emulator(bank, pulses)
+def make_board(bank: ServoBank, pulses: Pulses, *, on_uart: bool = False) -> MaestroEmulator | Pca9685Emulator:
+    """Return the emulated board of a profile with a bank of servos; a Maestro is at a UART or at USB."""
+    return MaestroEmulator(bank, pulses, on_uart=on_uart) if pulses.board == "maestro" else Pca9685Emulator(bank, pulses)
 
 
 def _nobody(data: bytes, now_ns: int) -> None:

@@ -2,7 +2,8 @@
 
 from .bridge import CYCLE_US, Firmware
 from .commands import CommandFirmware
-from .pulses import NAME as PULSES
+from .pulse_senders import MAESTRO
+from .pulse_senders import NAME as PULSES
 from .pulses import PulseFirmware
 from .servo import ServoModel
 
@@ -99,7 +100,7 @@ class StreamPort:
 
 
 class I2cPort:
-    """A `machine.I2C` with the chips that send pulses to hobby servos; transfers are those of `pulses.I2cMaster`."""
+    """A `machine.I2C` with the chips that send pulses to hobby servos; transfers are those of `pulse_senders.Pca9685`."""
 
     def __init__(self, i2c):  # type: ignore[no-untyped-def]
         """Take over an open bus."""
@@ -122,11 +123,14 @@ class I2cPort:
 
 
 def open_bus(machine, config) -> object:  # type: ignore[no-untyped-def]
-    """Open the UART of the servos, or the I2C bus of the chips that send pulses."""
-    if config.SERVO == PULSES:
+    """Open the UART of the servos or of a Maestro, or the I2C bus of the chips that send pulses."""
+    has_maestro = config.SERVO == PULSES and config.PULSES[0] == MAESTRO
+    if config.SERVO == PULSES and not has_maestro:
         pins = {} if config.I2C_SCL is None else {"scl": machine.Pin(config.I2C_SCL), "sda": machine.Pin(config.I2C_SDA)}
         return I2cPort(machine.I2C(config.I2C_BUS, freq=400_000, **pins))
     uart = _open_uart(machine, config, config.BUS_UART, config.BAUD_RATE, config.BUS_TX, config.BUS_RX)
+    if has_maestro:
+        return UartPort(uart)  # full duplex
     pin = None if config.DIRECTION is None else machine.Pin(config.DIRECTION, machine.Pin.OUT)
     return UartPort(uart, pin, config.DIRECTION_SENDS, config.ECHO)
 

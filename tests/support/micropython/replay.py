@@ -1,7 +1,7 @@
 """Replay recorded turns of the firmware, under MicroPython or CPython, and compare every byte.
 
-Each line of the record has a boot (B, boot number, counter, servo, echo, baud rate) or a turn (T, counter, and in hex the bytes
-from the host, from the servos, to the host and to the servos).
+Each line of the record has a boot (B, boot number, counter, servo, echo, baud rate, and the entries of PULSES) or a turn (T,
+counter, and in hex the bytes from the host, from the servos, to the host and to the servos).
 """
 
 import sys
@@ -19,10 +19,12 @@ def ticks_diff(new, old):  # type: ignore[no-untyped-def]
 class Settings:
     """Settings of config.py, with a UART to the host."""
 
-    def __init__(self, servo, echo, rate):  # type: ignore[no-untyped-def]
+    def __init__(self, servo, echo, rate, pulses):  # type: ignore[no-untyped-def]
         for name in dir(config):
             setattr(self, name, getattr(config, name))
         self.SERVO, self.BAUD_RATE, self.ECHO, self.DIRECTION = servo, rate, echo, None if echo else 6
+        if pulses:
+            self.PULSES = tuple(pulses[:1] + [int(word) for word in pulses[1:]])
         self.HOST_UART, self.HOST_TX, self.HOST_RX = 0, 0, 1
 
 
@@ -61,12 +63,12 @@ def replay(path):  # type: ignore[no-untyped-def]
             boots += 1
             counter[0] = int(words[2])
             clock = board.Clock(lambda: counter[0], ticks_diff)
-            settings = Settings(words[3], words[4] == "1", int(words[5]))
+            settings = Settings(words[3], words[4] == "1", int(words[5]), words[6].split())
             bus, host = board.open_bus(machine, settings), board.open_host(machine, settings, None)
             computer = host._uart
-            has_pulses = settings.SERVO == "PWM"
-            servos = bus._i2c if has_pulses else bus._uart
-            if has_pulses:
+            is_i2c = settings.SERVO == "PWM" and settings.PULSES[0] == "PCA9685"
+            servos = bus._i2c if is_i2c else bus._uart
+            if is_i2c:
                 bus = Held(bus)
             else:
                 servos.pin = bus._direction
@@ -76,7 +78,7 @@ def replay(path):  # type: ignore[no-untyped-def]
         counter[0] = int(words[1])
         from_host, from_bus, to_host, to_bus = [bytes.fromhex(word) for word in words[2:]]
         computer.received += from_host
-        if has_pulses:
+        if is_i2c:
             servos.answer, bus.has_arrived = next_answer(rows, at, to_bus), bool(from_bus)
         else:
             servos.received += from_bus

@@ -12,10 +12,11 @@ from sextant.services.actuator.servo_bus.bus_scan import ECHO
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
 from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
-from sextant.services.simulator.servo_bus.pulse_board import Pca9685Emulator
+from sextant.services.simulator.servo_bus.pulse_board import make_board
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.robot.profile_text import write_new_profile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.servo import pwm
 from tests.support.families import FAMILIES, robot_with
 from tests.support.port_in_memory import Line, OtherDevice
 
@@ -136,18 +137,19 @@ def test_servos_with_commands_behind_a_bridge(monkeypatch: pytest.MonkeyPatch) -
     assert pulling(bench) == 0
 
 
+@pytest.mark.parametrize("name", ["pca9685", "maestro"])
 def test_hobby_servos_behind_a_bridge(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: pwm.Board, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     profile = load_profile("printed_ds3218")
     assert profile.servo.pulses is not None
-    pulses = replace(profile.servo.pulses, board="pca9685")
+    pulses = replace(profile.servo.pulses, board=name)
     own = replace(profile, servo=replace(profile.servo, pulses=pulses))
     write_new_profile(tmp_path / "own.toml", own)
     bank = make_servo_bank(own.servo, list(own.servo_names), np.zeros(18))
     torque = bank.column(bank.table.torque_enable)
     torque[:] = 1
-    board = Board(Pca9685Emulator(bank, pulses), model=bank.model, pulses=pulses)
+    board = Board(make_board(bank, pulses, on_uart=True), model=bank.model, pulses=pulses)
     line = Line(board, monkeypatch)
     assert off(line, "--bridge", "--robot", str(tmp_path / "own.toml")) == 0
     board.advance(line.monotonic_ns() + 40_000_000)

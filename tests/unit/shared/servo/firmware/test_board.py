@@ -2,11 +2,11 @@
 
 import sys
 import time
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from sextant.shared.servo import dynamixel, pca9685
+from sextant.shared.servo import dynamixel, pca9685, pwm
 from sextant.shared.servo import firmware as package
 from sextant.shared.servo.bridge_protocol import TO_HOST, Mode, Receiver, Torque, Welcome, encode
 from sextant.shared.servo.firmware import board, config
@@ -53,8 +53,9 @@ def test_record_of_session_is_replayed_byte_for_byte(model: ServoModel, tmp_path
 
 
 @pytest.mark.slow
-def test_record_of_session_with_pulses_is_replayed_byte_for_byte(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    (tmp_path / "record.csv").write_text("\n".join(exchange_pulses().record), encoding="utf-8")
+@pytest.mark.parametrize("of_pulses", ["pca9685", "maestro"])
+def test_record_of_session_with_pulses_is_replayed_byte_for_byte(of_pulses: pwm.Board, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "record.csv").write_text("\n".join(exchange_pulses(of_pulses).record), encoding="utf-8")
     with imported(machine=stand_in("machine"), firmware=package):
         boots, turns, count = stand_in("replay").replay(str(tmp_path / "record.csv"))
     assert boots >= 2
@@ -78,6 +79,24 @@ def test_transfers_go_to_the_i2c_bus() -> None:
     assert i2c.take() == b"".join(
         pca9685.frame(one) for one in (pca9685.write(0x40, 6, (0, 0, 7, 1)), pca9685.read(0x41, 6, 4), pca9685.read(0x41, 6, 4))
     )
+
+
+def test_maestro_is_at_the_uart_of_the_servos_with_both_lines_in_use() -> None:
+    pulses = ("Maestro", 424_400, 1500, 1000, 50, 0)
+    settings = SimpleNamespace(**{**vars(config), "SERVO": "PWM", "PULSES": pulses, "BAUD_RATE": 115_200, "ECHO": True})
+    assert settings.DIRECTION is not None
+    port = board.open_bus(stand_in("machine"), settings)
+    assert isinstance(port, board.UartPort)
+    assert (port._uart.number, port._uart.options["baudrate"]) == (config.BUS_UART, 115_200)
+    port.write(b"\xa1")
+    port._uart.received += b"\0\0"
+    assert (port._uart.take(), port.read()) == (b"\xa1", b"\0\0"), "no direction pin, and no echo to drop"
+    settings.BAUD_RATE = 1_000_000
+    with pytest.raises(ValueError, match="BAUD_RATE of at most 200000 expected for a Maestro, found 1000000"):
+        board.start(settings, 1, 0)
+    settings.PULSES = (424_400, 1500, 1000, 50, 0)
+    with pytest.raises(ValueError, match="PCA9685 or Maestro expected in PULSES, found 424400"):
+        board.start(settings, 1, 0)
 
 
 def test_clock_continues_when_the_counter_wraps() -> None:

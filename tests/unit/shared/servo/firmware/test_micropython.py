@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sextant.shared.servo import firmware
+from sextant.shared.servo import firmware, pwm
 from sextant.shared.servo.models import AX_12A, LX_16A, SCS0009, STS3215, XL430_W250
 from sextant.shared.servo.servo_model import ServoModel
 from tests.support.firmware_rig import STAND_INS, exchange, exchange_pulses
@@ -52,8 +52,9 @@ def test_session_with_faults_gives_same_bytes(model: ServoModel, echo: bool, tmp
     assert int(count) > 20_000
 
 
-def test_session_with_pulses_gives_same_bytes(tmp_path: Path) -> None:
-    made, record = exchange_pulses(), tmp_path / "record.csv"
+@pytest.mark.parametrize("board", ["pca9685", "maestro"])
+def test_session_with_pulses_gives_same_bytes(board: pwm.Board, tmp_path: Path) -> None:
+    made, record = exchange_pulses(board), tmp_path / "record.csv"
     record.write_text("\n".join(made.record), encoding="utf-8")
     name, boots, turns, count = run(STAND_INS / "replay.py", record__csv=record).split()
     assert name == "micropython"
