@@ -102,9 +102,9 @@ def up(launch: Launch, print_zenoh: bool) -> int:
     rows, chosen, extra = asked(launch)
     if print_zenoh:
         return _print_zenoh(gate_of(launch, rows, process_table.ROUTER_ENDPOINT))
-    bus = None
+    torque_off = ""  # command
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
-        bus = _servo_bus(extra.get("actuator", ()), chosen.robot)
+        torque_off = _torque_off(extra.get("actuator", ()), chosen.robot)
     paged = any(row.name == "console" for row in rows)
     if paged:
         chosen = replace(chosen, console_port=_page_port(chosen.console_port, extra.get("console", ())))
@@ -144,8 +144,8 @@ def up(launch: Launch, print_zenoh: bool) -> int:
                 complain(f"sextant up: {problem}")
             else:
                 half.stop(interrupts.insisted)
-    if bus:
-        say(bus.completed("the servos keep their torque on or off, as it was; `sextant servos off` turns it off"))
+    if torque_off:
+        say(f"the servos keep their torque on or off, as it was; {torque_off} turns it off")
     return FAILED if problem else INTERRUPTED
 
 
@@ -357,8 +357,8 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
     return page_port(lambda words: say(f"{words}; --set console.port=PORT selects another"), usual)
 
 
-def _servo_bus(settings: Sequence[str], robot: str) -> Bus:
-    """Return the servo bus; raise an InputError if its port is none for these servos or does not exist."""
+def _torque_off(settings: Sequence[str], robot: str) -> str:
+    """Return the command that turns torque off; raise an InputError if the port is none for these servos or does not exist."""
     from sextant.services.actuator.config import Settings
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.runtime.process import load_settings
@@ -376,7 +376,7 @@ def _servo_bus(settings: Sequence[str], robot: str) -> Bus:
             f"no servo port {' or '.join(names)}; {find_port(names[0])}; --set actuator.port=DEVICE names another, and "
             "--scenario simulates it; `sextant doctor --port` checks a port"
         )
-    return Bus(robot, found.port)
+    return Bus(robot, found.port).completed("`sextant servos off --bridge`" if found.bridge else "`sextant servos off`")
 
 
 def _pass_on(_name: str, line: str) -> None:

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import pty
+import shlex
 import signal
 import socket
 import sys
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 from sextant.deploy import cli
-from sextant.deploy.commands import servo_port, servos_off
+from sextant.deploy.commands import servo_port, servos_off, up
 from sextant.deploy.commands.servo_port import Bus
 from sextant.services.actuator.commissioning import joint_test
 from sextant.services.actuator.commissioning.watched_motion import UNWATCHED
@@ -479,6 +480,8 @@ def test_port_of_a_bridge_to_hobby_servos_is_serial(
     settings = ["--set", "actuator.bridge=true", *(["--set", f"actuator.port={port}"] if port else [])]
     assert cli.main(["up", "onboard", "--camera", "none", *robot, *settings]) == 2
     assert f"no servo port {expected};" in capsys.readouterr().err
+    found = up._torque_off(["bridge=true", "port=socket://127.0.0.1:1"], str(own))
+    assert found == f"`sextant servos off --bridge --port socket://127.0.0.1:1 --robot {shlex.quote(str(own))}`"
 
 
 def test_centre_states_the_angles_at_which_horns_are_mounted(url: str, capsys: pytest.CaptureFixture[str]) -> None:
