@@ -327,12 +327,11 @@ class PulseFirmware(Firmware):
         if count < 0:
             self._bus.garbled += 1
             return
-        chip, settles = self._chip(servo), began_us - servo.written_us < self._sender.settles_us
-        if self.mode != wire.OFF and settles and self._are_same(count, servo.count_before) and count != servo.count:
-            self._has_seen = bool(count)
-            return
-        before, servo.found = servo.found, count
         self._has_seen = bool(count)
+        is_written, settles = self._are_same(count, servo.count), began_us - servo.written_us < self._sender.settles_us
+        if self.mode != wire.OFF and settles and not is_written and self._are_same(count, servo.count_before):
+            return
+        chip, before, servo.found = self._chip(servo), servo.found, count
         if self.mode == wire.ADOPTING:
             servo.is_known = servo.is_known or count == before
             if chip.sleeps or count == before == 0:
@@ -346,7 +345,7 @@ class PulseFirmware(Firmware):
                 servo.lose()
                 self.mode = wire.OFF
                 self._jobs = [job for job in self._jobs if job[0] != _WRITE]
-        elif not self._are_same(count, servo.count):
+        elif not is_written:
             self._bus.garbled += 1
         if count and self._are_same(count, servo.count):
             servo.asked_us, servo.state = began_us, (self._sender.angle(count), 0, 0, 0, 0)

@@ -478,6 +478,21 @@ def test_pulses_that_are_read_back_a_period_later_are_no_error() -> None:
     assert rig.torque == rig.driver.read(17, TABLE.torque_enable) == 0
 
 
+def test_coarse_limits_of_a_maestro_are_no_error() -> None:
+    rig = of_maestro()
+    assert isinstance(rig.chips, MaestroEmulator)
+    execute = rig.chips._execute
+
+    def limited(packet: maestro.Packet, now_ns: int) -> bytes:
+        found = execute(packet, now_ns)
+        return min(maestro.number(found), 9984).to_bytes(2, "little") if found else found  # 2496 us
+
+    rig.chips._execute = limited  # type: ignore[method-assign]
+    rig.on(2 * CENTRE)
+    rig.cycle(20, 2 * CENTRE)
+    assert (rig.driver.trouble, rig.driver.lost["bridge: garbled packet"]) == ("", 0)
+
+
 @pytest.mark.parametrize("share", [0.02, 0.2])
 def test_lost_answers_of_a_maestro_do_not_change_its_adopted_pulses(share: float) -> None:
     rng = np.random.default_rng(1000)
