@@ -49,7 +49,7 @@ class FootPress:
         lower = np.where(found, np.maximum(self._depth - _LATE_M, 0.0), 0.0)
         self._depth -= lower
         if self._search.legs.any():
-            self._depth[self._search.legs] += self._search.deepen(dt)
+            self._depth[self._search.legs] += self._search.deepen(dt, felt)
         else:
             self._search = None
         return found, lower

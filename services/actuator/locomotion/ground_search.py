@@ -7,7 +7,9 @@ from sextant.services.actuator.estimation.touchdown_detector import FootContact
 from sextant.shared.geometry import Array
 
 SEARCH_DEPTH_M = 0.04  # [m] by which a foot searches below its target
-_SPEED_M_S = 0.04  # [m/s] at which searching feet move down
+_SPEED_M_S = 0.04  # [m/s] at which searching feet move down ...
+_CYCLE_M = 0.001  # [m] ... but not further from one reading to the next, as in a slow control cycle
+_PATIENCE_S = 0.1  # [s] for which they wait for a lost reading
 _PUSHED_DOWN_M = 0.005  # [m] of search after which the load of all joints of the leg shows that the foot stood all the time
 
 
@@ -19,6 +21,7 @@ class GroundSearch:
         self.legs = legs.copy()  # (6,) legs that still search
         self.depth = depth  # [m] below the heights at which the feet stood
         self._reach = SEARCH_DEPTH_M + stop_height  # (6,) [m] largest depth of each
+        self._unheard_s = 0.0  # [s] since a leg was last heard
 
     def update(self, felt: FootContact) -> NDArray[np.bool_]:
         """Return legs (6,) that have found ground; they no longer search."""
@@ -33,7 +36,12 @@ class GroundSearch:
         """(6,) legs that have reached their largest depth without ground."""
         return np.asarray(self.legs & (self.depth > self._reach - 1e-9))
 
-    def deepen(self, dt: float) -> float:
-        """Search deeper for `dt` [s]; return the increase in depth [m]."""
-        self.depth += _SPEED_M_S * dt
-        return _SPEED_M_S * dt
+    def deepen(self, dt: float, felt: FootContact) -> float:
+        """Search deeper for `dt` [s], unless a reading is still to come; return the increase in depth [m]."""
+        unheard = self.legs & felt.known & ~felt.heard
+        self._unheard_s = self._unheard_s + dt if np.count_nonzero(unheard) else 0.0
+        if 0.0 < self._unheard_s <= _PATIENCE_S:
+            return 0.0
+        step = min(_SPEED_M_S * dt, _CYCLE_M)
+        self.depth += step
+        return step

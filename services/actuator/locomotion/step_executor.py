@@ -517,7 +517,7 @@ class StepExecutor:
             return
         lost = search.lost
         if not lost.any():
-            self._feet[search.legs, 2] -= search.deepen(dt)
+            self._feet[search.legs, 2] -= search.deepen(dt, felt)
             return
         self._contacts.report_missing(lost, felt.feet)
         self._search = None

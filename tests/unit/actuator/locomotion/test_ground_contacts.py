@@ -90,7 +90,7 @@ def test_search_ends_on_contact_and_each_leg_has_its_own_depth() -> None:
     search = GroundSearch(np.arange(6) < 2, np.where(FIRST, 0.02, 0.0))
     assert search.update(felt()).tolist() == NONE.tolist()
     while not search.lost.any():
-        search.deepen(DT)
+        search.deepen(DT, felt())
     assert search.lost.tolist() == [False, True, False, False, False, False]
     assert SEARCH_DEPTH_M - 1e-9 <= search.depth < SEARCH_DEPTH_M + 0.002
     assert search.update(felt(touches=FIRST)).tolist() == FIRST.tolist()
@@ -101,8 +101,24 @@ def test_the_load_of_a_leg_counts_only_after_some_millimetres_of_search() -> Non
     search = GroundSearch(FIRST, np.zeros(6))
     assert not search.update(felt(pushes=ALL)).any()
     while search.depth < 0.006:
-        search.deepen(DT)
+        search.deepen(DT, felt())
     assert search.update(felt(pushes=ALL)).tolist() == FIRST.tolist()
+
+
+def test_searching_feet_move_no_further_between_two_readings_in_a_slow_cycle() -> None:
+    steps = [GroundSearch(FIRST, np.zeros(6)).deepen(dt, felt()) for dt in (DT, 2.0 * DT, 5.0 * DT)]
+    assert steps == [0.0008, 0.001, 0.001]
+
+
+def test_searching_feet_wait_for_a_lost_reading_but_not_for_a_silent_leg() -> None:
+    search = GroundSearch(FIRST, np.zeros(6))
+    others, lost = felt(heard=FIRST), felt(heard=~FIRST)
+    assert search.deepen(DT, others) > 0.0
+    assert [search.deepen(DT, lost) for _ in range(5)] == [0.0] * 5
+    assert search.deepen(DT, lost) > 0.0
+    assert search.deepen(DT, felt()) > 0.0
+    assert search.deepen(DT, lost) == 0.0
+    assert GroundSearch(FIRST, np.zeros(6)).deepen(DT, felt(heard=~FIRST, known=~FIRST)) > 0.0
 
 
 def test_only_feet_that_lag_far_and_long_in_the_air_are_held() -> None:
