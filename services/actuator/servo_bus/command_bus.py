@@ -5,7 +5,8 @@ has no time for 18 goals and 18 positions. Within the budget of a call, `poll` r
 urgent ones first. The goals that have changed most get the rest of the cycle, and the others follow in the next one.
 
 A write is not answered, so what is written outside the loop is read again. A position is the only value that is read in
-every turn: voltage and temperature of one servo in turn are read in every fifth call.
+every turn. Every fifth call reads, in this order, a voltage and a temperature of the next servo in turn, and the temperature of
+the hottest servo.
 """
 
 import math
@@ -26,6 +27,7 @@ _LEAST_GOALS = 4  # sent in a cycle that reading has used up
 _LONGEST_NS = 4_000_000  # [ns] of goals on the wire for which a read still waits
 _OVERDUE_NS = 200_000_000  # [ns] without a request after which a servo comes before the urgent ones: ten cycles
 _SLOW_EVERY = 5  # calls, in one of which a voltage or a temperature is read
+_SLOW_TURNS, _VOLTAGE_TURN, _HOTTEST_TURN = 3, 0, 2  # of these; in the others the temperature of the next servo is read
 _REPEATED = 2  # unchanged goals in a cycle that are sent again, because a lost one is not noticed
 _VOLTAGE_LEAP_V, _TEMPERATURE_LEAP_K = 0.8, 5.0  # from the last reading, beyond which a value is read once more
 _UNKNOWN = -1_000_000  # [ticks] of a goal that a servo does not have
@@ -286,9 +288,12 @@ class CommandBus(ServoBus):
         return goal if not 0 <= since_ns < duration_ns else start + (goal - start) * since_ns / duration_ns
 
     def _read_slowly(self, end_ns: int) -> Generator[None, None, int]:
-        """Read the voltage or temperature of the next servo in turn, and return its index; see `ServoBus.polling`."""
-        index, kind = divmod(self._slow, 2)
-        self._slow = (self._slow + 1) % (2 * len(self))
+        """Read the next voltage or temperature, and return the index of its servo; see `ServoBus.polling`."""
+        index, turn = divmod(self._slow, _SLOW_TURNS)
+        self._slow = (self._slow + 1) % (_SLOW_TURNS * len(self))
+        kind = int(turn != _VOLTAGE_TURN)
+        if turn == _HOTTEST_TURN:
+            index = int(np.argmax([0.0 if math.isnan(degrees) else degrees for _, degrees in self._slow_values]))
         if self.missed[index]:  # it costs a timeout, and its position tells when it is back
             return index
         register, unit, leap, flag = (

@@ -89,7 +89,9 @@ class Joints:
         self._adopt_state([self._wait_for_state(i) for i in self._bus.servo_ids])
         self._bus.between = _do_nothing
         self.voltage = np.full(18, np.nan)  # [V]
-        self._voltage_ns = [0] * 18  # stamps of these
+        self._voltage_ns = np.zeros(18, dtype=np.int64)  # stamps of these
+        rare = np.array([model.commands is not None for model in self._models])  # servos whose voltage is seldom read
+        self._of_supply = [rare if rare[index] else index for index in range(18)]  # whose voltage that of a servo is
         self.temperature = np.full(18, np.nan)  # [deg C]
 
     def close(self) -> None:
@@ -325,7 +327,8 @@ class Joints:
         self.q[leg, joint] = q
         self.load[leg, joint] = sign * reading.load * self._stall_torque[index]
         if reading.voltage == reading.voltage:  # not NaN
-            self.voltage[index], self._voltage_ns[index] = reading.voltage, reading.stamp_ns
+            supplied = self._of_supply[index]
+            self.voltage[supplied], self._voltage_ns[supplied] = reading.voltage, reading.stamp_ns
         elif reading.stamp_ns - self._voltage_ns[index] > _VOLTAGE_NS:
             self.voltage[index] = np.nan
         if reading.temperature == reading.temperature:

@@ -2,7 +2,8 @@
 
 At 115 200 bit/s, 20 ms carry twelve goals and seven positions. The goals that have changed most are written, those of the
 servos that the host names first before all others. Just before the state after the goals, these servos are read. The rest of
-the time reads the others in turn, and ten times a second a voltage or a temperature.
+the time reads the others in turn, and ten times a second, in this order, a voltage and a temperature of the next servo in turn,
+and the temperature of the hottest servo.
 """
 
 from . import wire
@@ -18,6 +19,7 @@ TURN_US = 10_000  # [us] between two readings in turn at most, nevertheless
 SLOW_US = 100_000  # [us] between readings of a voltage or a temperature
 
 _TORQUE, _GOAL, _VOLTAGE, _TEMPERATURE = _ADOPTED, 3, 4, 5  # further kinds of a reading
+_SLOW, _HOTTEST = (_VOLTAGE, _TEMPERATURE, _TEMPERATURE), 2  # kinds of the slow readings, and which is of the hottest servo
 _BLOCKS = {_TORQUE: (32, 1), _GOAL: (2, 4), _STATE: (28, 2), _VOLTAGE: (27, 2), _TEMPERATURE: (26, 1)}  # command and size
 _MOVES, _MODE = (1, 7), 29  # commands that set goals, and the mode, which is 0 for positions
 _UNKNOWN_WAY = 10_000  # [0.1 mrad] 1 rad: way of a servo whose position is unknown, so that it is slow
@@ -34,6 +36,7 @@ class _CommandServo(_Servo):
         self.sent_us = 0  # when that has left the board
         self.start = self.way_us = 0  # angle and time [us] of the way to it; 0 us for the highest speed
         self.voltage = self.temperature = 0  # read since the last position
+        self.heat = 0  # [deg C] newest temperature
 
 
 class CommandFirmware(Firmware):
@@ -138,8 +141,10 @@ class CommandFirmware(Firmware):
         count = len(self._servos)
         if self._now_us - self._slow_us >= SLOW_US:
             self._slow_us = self._now_us
-            self._next_slow = (self._next_slow + 1) % (2 * count)
-            return self._servos[self._next_slow // 2], (_VOLTAGE, _TEMPERATURE)[self._next_slow % 2], 1
+            self._next_slow = (self._next_slow + 1) % (len(_SLOW) * count)
+            turn = self._next_slow % len(_SLOW)
+            hottest = max(self._servos, key=lambda servo: servo.heat)
+            return hottest if turn == _HOTTEST else self._servos[self._next_slow // len(_SLOW)], _SLOW[turn], 1
         for _ in range(count):
             self._next = (self._next + 1) % count
             if self._servos[self._next] not in self._ahead:
@@ -219,7 +224,7 @@ class CommandFirmware(Firmware):
         elif kind == _VOLTAGE:
             servo.voltage = min(self._model.voltage(data[0] | data[1] << 8), 0xFF)
         elif kind == _TEMPERATURE:
-            servo.temperature = data[0]
+            servo.temperature = servo.heat = data[0]
         else:
             self._take_position(servo, began_us, self._model.position(data))
 

@@ -150,7 +150,7 @@ def test_voltage_and_temperature_of_each_servo_are_read_in_turn() -> None:
     legs = _Legs(6)
     legs.bus.set_torque(True)
     volts, degrees = set(), set()
-    for _ in range(5 * 2 * 6 + 5):
+    for _ in range(5 * 3 * 6 + 5):
         for one in legs.cycle([_CENTRE] * 6):
             if Feedback.VOLTAGE in one.measured:
                 volts.add(one.index)
@@ -159,6 +159,21 @@ def test_voltage_and_temperature_of_each_servo_are_read_in_turn() -> None:
                 degrees.add(one.index)
                 assert one.temperature == 25.0
     assert volts == degrees == set(range(6))
+
+
+def test_temperature_of_the_hottest_servo_is_read_often() -> None:
+    legs = _Legs()
+    legs.bus.set_torque(True)
+    legs.servos.temperature[7] = 58.0
+    unread, longest = 0, 0
+    for k in range(600):
+        readings = legs.cycle([_CENTRE] * 18)
+        unread += 1
+        if any(one.index == 7 and Feedback.TEMPERATURE in one.measured for one in readings):
+            unread = 0
+        if k >= 5 * 3 * 18:
+            longest = max(longest, unread)
+    assert longest < 20, "0.4 s"
 
 
 def test_one_broken_voltage_is_not_believed() -> None:

@@ -82,6 +82,7 @@ def test_faults_of_the_board_keep_their_limits() -> None:
     [
         ("actuator-stopped", "printed_sts3215", 0),  # all servos are read at once: hanging feet are lowered gently
         ("planner-killed", "printed_sts3215", 2),  # heavy rotors
+        ("sag", "jethexa_hx35h", 16),  # its voltage is seldom read, and that of the sag must not last
         ("bus-garbage", "jethexa_hx35h", 4),  # the first answer after a silence gives the other servos a turn
         ("bus-stuck", "printed_ds3218", 0),
     ],
