@@ -2,7 +2,8 @@
 
 Their bus is slow: at 115 200 bit/s a goal takes 0.87 ms, and a position 1.2 ms and the time of the adapter. So a cycle of 20 ms
 has no time for 18 goals and 18 positions. Within the budget of a call, `poll` reads the positions of about four servos, the
-urgent ones first. The goals that have changed most get the rest of the cycle, and the others follow in the next one.
+urgent ones first. The goals of the urgent ones and those that have changed most get the rest of the cycle, and the others
+follow in the next one.
 
 A write is not answered, so what is written outside the loop is read again. A position is the only value that is read in
 every turn. Every fifth call reads, in this order, a voltage and a temperature of the next servo in turn, and the temperature of
@@ -111,6 +112,7 @@ class CommandBus(ServoBus):
         self._byte_ns, self._goal_ns = byte_ns, (self._protocol.OVERHEAD + self._goal_size) * byte_ns
         self._busy_until_ns = 0  # [ns] until which goals are on the wire
         self._began_ns = -_CYCLE_NS  # [ns] beginning of the last `poll`
+        self._urgent: tuple[int, ...] = ()  # servos that it had to read first
         self._calls = self._slow = 0
         self._voltage: float | None = None  # [V] last one of any servo
         self._slow_values = [[math.nan, math.nan] for _ in range(n)]  # [V] and [deg C] of each servo
@@ -173,8 +175,8 @@ class CommandBus(ServoBus):
     def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
         """Set the goals and speeds of all servos, and send as many as the rest of the cycle has time for.
 
-        Goals that differ most from those sent come first; some of those that do not differ are repeated. With torque off,
-        goals wait: whether a goal turns torque on is not published.
+        The changed goals of servos that `poll` had to read first come first, then those that have changed most; some that have
+        not changed are repeated. With torque off, goals wait: whether a goal turns torque on is not published.
 
         Args:
             goal_ticks: (n,) goal positions.
@@ -198,7 +200,8 @@ class CommandBus(ServoBus):
         """Send up to `most` goals."""
         far = np.abs(self._goals - self._sent) + (self._speeds != self._sent_speeds)
         changed = np.flatnonzero(far)
-        chosen = changed[np.argsort(-far[changed], kind="stable")][:most].tolist()
+        # A landing leg that lags its goal because it was not sent would seem to have met ground.
+        chosen = changed[np.lexsort((-far[changed], ~np.isin(changed, self._urgent)))][:most].tolist()
         same = np.flatnonzero(far == 0)
         chosen += same[np.argsort(self._sent_ns[same], kind="stable")][: min(most - len(chosen), _REPEATED)].tolist()
         packets = []
@@ -250,6 +253,7 @@ class CommandBus(ServoBus):
     def polling(self, budget_ns: int, first: Sequence[int] = ()) -> Polling:
         """Read positions within a time budget, see `ServoBus`; in some calls also the voltage or temperature of one servo."""
         began = self._began_ns = self._clock()
+        self._urgent = tuple(first)
         if budget_ns <= 0 or self._busy_until_ns - began > _LONGEST_NS:  # goals of all servos are on the wire
             return []
         self._calls += 1

@@ -131,6 +131,22 @@ def test_all_servos_are_read_soon_after_a_silence_of_the_bus() -> None:
     assert back == set(range(18))
 
 
+def test_goals_of_landing_legs_are_sent_in_a_cycle_that_reading_has_used_up() -> None:
+    legs = _Legs()
+    legs.bus.set_torque(True)
+    legs.cycle([_CENTRE] * 18)
+    legs.cycle([_CENTRE] * 18)
+    goals = [_CENTRE + 40 + k for k in range(18)]  # those of the last servos have changed most
+    legs.bus.poll(_BUDGET_NS, (1, 7))
+    legs.now_ns = legs.port.now_ns() + 9_000_000
+    legs.sent.clear()
+    legs.bus.sync_write_goals(goals)
+    sent = b"".join(legs.sent)
+    assert len(sent) == 4 * 10
+    for servo_id, goal in ((2, goals[1]), (8, goals[7]), (18, goals[17]), (17, goals[16])):
+        assert lx16a.write(servo_id, Command.MOVE_TIME_WRITE, goal, 0) in sent
+
+
 def test_dead_servo_does_not_take_the_turns_of_the_others() -> None:
     legs, unread = _Legs(), np.zeros(18, dtype=int)
     legs.bus.set_torque(True)
