@@ -335,7 +335,7 @@ class PulseFirmware(Firmware):
         if self.mode == wire.ADOPTING:
             servo.is_known = servo.is_known or count == before
             if chip.sleeps or count == before == 0:
-                servo.torque = False
+                servo.lose()
             elif count == before and chip.is_ready:
                 servo.torque, servo.count, servo.goal = True, count, self._sender.angle(count)
         elif not count and (servo.count or servo.torque is None):

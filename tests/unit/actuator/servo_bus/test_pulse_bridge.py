@@ -368,6 +368,20 @@ def test_torque_off_is_not_confirmed_by_silent_boards(pulses: Pulses) -> None:
     assert rig.driver.read(4, TABLE.torque_enable) == rig.torque == 0
 
 
+@BOARDS
+def test_torque_off_is_confirmed_at_any_time_of_adopting(pulses: Pulses) -> None:
+    for ms in range(0, 60, 3):
+        rig = Rig(pulses, torque=True)
+        rig.driver._session = 7
+        rig.driver._greet()
+        rig.now_ns = ms * 1_000_000
+        rig.board.advance(rig.now_ns)
+        rig.driver.set_torque(False)
+        rig.cycle(20)
+        found = [rig.driver.read(channel, TABLE.torque_enable) for channel in rig.channels]
+        assert (rig.torque, rig.mode, found) == (0, Mode.OFF, [0] * 18)
+
+
 # --------------------------------------------------------------------------------------------------------------- Maestro
 
 
