@@ -51,7 +51,8 @@ class PulseSender:
         return min(max(count, self._low), self._high)
 
     def angle(self, count: int) -> int:
-        """Return the angle [0.1 mrad] of pulses."""
+        """Return the angle [0.1 mrad] of pulses, within their range."""
+        count = min(max(count, self._low), self._high)
         angle: int = ((count << self._bits) - self._centre + self._per_unit // 2) // self._per_unit
         return angle
 

@@ -113,6 +113,22 @@ def test_setup_adopts_the_pulses_and_changes_none(pulses: Pulses, torque: bool, 
 
 
 @BOARDS
+def test_pulses_beyond_the_range_are_adopted_as_its_end(pulses: Pulses) -> None:
+    rig = Rig(pulses, torque=True)
+    wide = pca9685.frame(pca9685.write(0x40, pca9685.LED0 + 4 * 5, (0, 0, 0xFF, 0x0F)))
+    rig.chips.receive(maestro.set_target(5, maestro.MAX_TARGET) if pulses.board == "maestro" else wide, 0)
+    rig.driver.setup()
+    rig.cycle(5)
+    assert rig.mode is Mode.HOLDING
+    goal = rig.driver.read(5, TABLE.goal_position)
+    assert goal is not None
+    assert abs(goal - CENTRE - 4 * pulses.range_us) <= NEAR_TICKS
+    rig.cycle(300, CENTRE)
+    assert (rig.mode, rig.torque) == (Mode.ON, 18)
+    assert np.abs(rig.goals - CENTRE).max() <= NEAR_TICKS
+
+
+@BOARDS
 def test_what_servos_do_not_measure_is_never_returned(pulses: Pulses) -> None:
     rig = Rig(pulses, torque=True)
     assert rig.driver.newest_age_s == math.inf
