@@ -84,6 +84,10 @@ class Pca9685(PulseSender):
         """Return the longest time [us] of a request."""
         return 20_000
 
+    def rest_us(self, size: int, is_answered: bool) -> int:
+        """Return 0: no bytes follow a transfer."""
+        return 0
+
     def status(self, chip: Chip, channels: list[int]) -> list[tuple]:
         """Return the requests for the state of a chip, each with its number for `note_status`."""
         return [(register,) + self._request(chip, register, b"", 1) for register in (_MODE1, _PRE_SCALE)]
@@ -159,9 +163,18 @@ class Maestro(PulseSender):
 
     def wait_us(self, data: bytes, size: int) -> int:
         """Return the longest time [us] of a request; without an answer, its time on the line."""
-        count = len(data) + size
-        line_us = (count * _BIT_PER_BYTE * 1_000_000 + self._baud_rate - 1) // self._baud_rate
-        return line_us + _ANSWER_US if size else line_us
+        return self._line_us(len(data) + size) + (_ANSWER_US if size else 0)
+
+    def rest_us(self, size: int, is_answered: bool) -> int:
+        """Return the time [us] after a request in which bytes are dropped, because they cannot be of the next answer.
+
+        They are the rest of an answer that began with a disturbance, or one that is late.
+        """
+        return self._line_us(size) if is_answered else _ANSWER_US
+
+    def _line_us(self, count: int) -> int:
+        """Return the time [us] of bytes on the line."""
+        return (count * _BIT_PER_BYTE * 1_000_000 + self._baud_rate - 1) // self._baud_rate
 
     def status(self, chip: Chip, channels: list[int]) -> list[tuple]:
         """Return the request that clears old errors, and those that remove limits, each with its number for `note_status`."""

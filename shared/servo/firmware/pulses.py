@@ -57,7 +57,7 @@ class RequestMaster:
     def hear(self, data: bytes, now_us: int) -> list[tuple]:
         """Process bytes from the port, and return the completed request, with its answer; None if that is missing.
 
-        A request without an answer is completed when it has been sent.
+        A request without an answer is completed when it has been sent. Bytes between two requests are dropped.
         """
         if not self.waits:
             return []
@@ -68,7 +68,8 @@ class RequestMaster:
         if len(self._received) >= self._size and self._received.startswith(start):
             found = self._received[len(start) : self._size]
         self.silent += found is None
-        about, self._about, self._received, self._until_us = self._about, None, b"", now_us
+        about, self._about, self._received = self._about, None, b""
+        self._until_us = now_us + self._sender.rest_us(self._size, found is not None)
         return [] if self._is_forgotten else [(about, self._began_us, found)]
 
     def forget(self) -> None:

@@ -39,12 +39,14 @@ BOARDS = pytest.mark.parametrize("pulses", PULSES.values(), ids=PULSES)
 class Rig:
     """18 servos at two PCA9685 or a Maestro in virtual time, with a microcontroller, and a driver."""
 
-    def __init__(self, pulses: Pulses, torque: bool = False, spread: bool = False) -> None:
+    def __init__(
+        self, pulses: Pulses, torque: bool = False, spread: bool = False, start: int | np.ndarray = CENTRE + 100
+    ) -> None:
         self.channels = (*range(9), *range(15, 24)) if spread else tuple(range(18))
         self.pulses, self.own = pulses, replace(PROFILE, servo=replace(PROFILE.servo, pulses=pulses))
         self.bank = make_servo_bank(self.own.servo, self.channels, np.zeros(18))
         self.bank.column(TABLE.torque_enable)[:] = torque
-        self.bank.column(TABLE.goal_position)[:] = CENTRE + 100
+        self.bank.column(TABLE.goal_position)[:] = start
         self.chips = make_board(self.bank, pulses, on_uart=True)
         self.faults = BusFaults(self.chips, self.bank)
         self.board = Board(self.faults, model=self.bank.model, pulses=pulses)
@@ -235,6 +237,7 @@ def test_pulses_stay_while_the_host_is_silent_and_distant_goals_are_caught_up(pu
         assert np.abs(rig.goals - before).max() <= 80, "30 deg/s, or the last 1.8 deg"
         before = rig.goals
     assert took > 30
+    rig.cycle(1, CENTRE + 800)
     assert np.abs(rig.goals - CENTRE - 800).max() <= NEAR_TICKS
 
 
@@ -561,3 +564,47 @@ def test_torque_off_that_a_maestro_has_not_received_is_repeated_and_not_confirme
     rig.faults.receive = receive  # type: ignore[method-assign]
     rig.cycle(5, CENTRE)
     assert rig.torque == rig.driver.read(3, TABLE.torque_enable) == 0
+
+
+def byte_by_byte(reply: Reply) -> list[Reply]:
+    """Return an answer as a UART receives it."""
+    ends = [reply.due_ns - left * 86_805 for left in range(len(reply.data))]
+    return [reply._replace(due_ns=end, data=bytes((byte,))) for end, byte in zip(reversed(ends), reply.data, strict=True)]
+
+
+@pytest.mark.parametrize("kind", ["late", "longer", "shorter"])
+def test_answers_of_a_maestro_are_those_of_their_requests_after_a_wrong_one(kind: str) -> None:
+    for wrong in range(1, 37, 6):
+        rig = Rig(PULSES["maestro"], torque=True, start=(start := CENTRE + 40 * np.arange(18)))
+        receive, answers = rig.chips.receive, 0
+
+        def spoil(data: bytes, now_ns: int) -> list[Reply]:
+            nonlocal answers
+            replies = receive(data, now_ns)  # noqa: B023
+            answers += bool(replies)
+            if replies and answers == wrong + 1:  # noqa: B023
+                if kind == "late":
+                    replies = [reply._replace(due_ns=reply.due_ns + 7_000_000) for reply in replies]
+                else:
+                    first = replies[0].data
+                    replies[0] = replies[0]._replace(data=b"\0" + first if kind == "longer" else first[1:])
+            return [part for reply in replies for part in byte_by_byte(reply)]
+
+        rig.chips.receive = spoil  # type: ignore[method-assign]
+        rig.driver.setup()
+        assert rig.mode is Mode.HOLDING
+        for _ in range(20):
+            rig.cycle(1, start + 20)
+            assert np.abs(rig.goals - start).max() <= 20
+        assert (rig.mode, rig.torque, rig.goals.tolist()) == (Mode.ON, 18, (start + 20).tolist())
+
+
+def test_pulses_of_a_maestro_that_always_answers_late_are_not_adopted() -> None:
+    rig = Rig(PULSES["maestro"], torque=True, start=(start := CENTRE + 40 * np.arange(18)))
+    receive = rig.chips.receive
+    rig.chips.receive = lambda data, now_ns: [  # type: ignore[method-assign]
+        reply._replace(due_ns=reply.due_ns + 7_000_000) for reply in receive(data, now_ns)
+    ]
+    rig.driver.setup()
+    rig.cycle(50, start + 20)
+    assert (rig.mode, rig.torque, rig.goals.tolist()) == (Mode.OFF, 18, start.tolist())

@@ -126,6 +126,9 @@ def test_page_states_the_times_of_transfers() -> None:
     assert f"18 targets are {targets} bytes, {targets * 1e4 / RATE:.2f} ms" in page
     reading = len(maestro.get_errors() + maestro.get_position(0)) + 4
     assert f"a channel that is read back {reading * 1e4 / RATE:.2f} ms" in page
+    rest_us = Maestro((424_400, 1500, 1000, 50, 0), RATE).rest_us(4, is_answered=True)
+    assert f"the rest after it {rest_us / 1e3:.2f} ms" in page
+    assert f"goals and seven readings take {(targets + 7 * (reading + 4)) * 1e4 / RATE:.1f} ms" in page
     assert f"the limits of 18 channels {18 * 8 * 1e4 / RATE:.1f} ms" in page
 
 
