@@ -1,4 +1,4 @@
-"""What sends the pulses of hobby servos: PCA9685 on an I2C bus, or a Pololu Maestro on a UART.
+"""Senders of the pulses of hobby servos: PCA9685 on an I2C bus, or a Pololu Maestro on a UART.
 
 A sender encodes requests to its chips and understands their answers. A request is its bytes and the number of bytes of its
 answer. Pulses are counts, 0 for none. `sextant.shared.servo.pca9685` and `maestro` state the sources of registers and commands.
@@ -6,7 +6,7 @@ answer. Pulses are counts, 0 for none. `sextant.shared.servo.pca9685` and `maest
 
 NAME = "PWM"  # setting SERVO for hobby servos
 PCA9685, MAESTRO = "PCA9685", "Maestro"  # first entries of the setting PULSES
-MAX_MAESTRO_RATE = 200_000  # [bit/s]
+MAESTRO_RATES = 57_600, 200_000  # [bit/s] lowest at which a cycle has time for torque off and a reading, and highest
 
 _MODE1, _LED0, _ALL_LED, _PRE_SCALE, _MODE2 = 0x00, 0x06, 0xFA, 0xFE, 0x01
 _SLEEP, _AUTO_INCREMENT, _FULL, _TOTEM_POLE = 0x10, 0x20, 0x10, 0x04
@@ -150,11 +150,12 @@ class Maestro(PulseSender):
             baud_rate: [bit/s] of its UART.
 
         Raises:
-            ValueError: The rate is too high.
+            ValueError: The rate is too low or too high.
         """
         per_rad, centre, most, rate, device = pulses
-        if baud_rate > MAX_MAESTRO_RATE:
-            raise ValueError("BAUD_RATE of at most %d expected for a Maestro, found %d" % (MAX_MAESTRO_RATE, baud_rate))  # noqa: UP031
+        least, most_rate = MAESTRO_RATES
+        if not least <= baud_rate <= most_rate:
+            raise ValueError("BAUD_RATE of %d to %d expected for a Maestro, found %d" % (least, most_rate, baud_rate))  # noqa: UP031
         self.name = "%s %d %d %d us %s" % (NAME, per_rad, centre, most, MAESTRO)  # noqa: UP031
         self.settles_us = 1_000_000 // rate + _ANSWER_US
         self._device, self._baud_rate = device, baud_rate
@@ -227,7 +228,7 @@ def sender_for(pulses: tuple, baud_rate: int) -> Pca9685 | Maestro:
     """Return the sender of the setting PULSES, whose first entry is its kind, at a rate [bit/s] of a Maestro's UART.
 
     Raises:
-        ValueError: There is no such kind, or the rate is too high.
+        ValueError: There is no such kind, or the rate is too low or too high.
     """
     if pulses[0] not in (PCA9685, MAESTRO):
         raise ValueError("PCA9685 or Maestro expected in PULSES, found %s" % str(pulses[0]))  # noqa: UP031

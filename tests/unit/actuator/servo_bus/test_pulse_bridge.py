@@ -21,6 +21,7 @@ from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import maestro, pca9685
 from sextant.shared.servo.bridge_protocol import Instruction, Limits, Mode, Refusal, Result
 from sextant.shared.servo.bus_fault import BusFault, FaultKind
+from sextant.shared.servo.firmware.pulse_senders import MAESTRO_RATES
 from sextant.shared.servo.firmware.pulses import LEG_US
 from sextant.shared.servo.pwm import TABLE, Pulses
 from sextant.shared.servo.pwm import Board as PulseBoard
@@ -411,6 +412,20 @@ def of_maestro(torque: bool = False, **changes: object) -> Rig:
 def test_device_number_selects_the_pololu_protocol() -> None:
     rig = of_maestro(device=17).on(CENTRE + 50)
     assert rig.bank.column(TABLE.goal_position).tolist() == [CENTRE + 50] * 18
+
+
+@pytest.mark.parametrize("rate", MAESTRO_RATES)
+def test_torque_off_is_confirmed_at_the_lowest_and_at_the_highest_rate_of_a_maestro(rate: int) -> None:
+    rig = of_maestro(torque=True)
+    assert isinstance(rig.chips, MaestroEmulator)
+    rig.chips._byte_ns = 10_000_000_000 // rate
+    rig.board = Board(rig.faults, model=replace(rig.bank.model, bus_rate=rate), pulses=rig.pulses)
+    rig.plug_in()
+    rig.driver.setup()
+    rig.cycle(5, CENTRE + 100)
+    rig.driver.set_torque(False)
+    rig.cycle(30, CENTRE)
+    assert [rig.driver.read(channel, TABLE.torque_enable) for channel in rig.channels] == [0] * 18
 
 
 def test_limits_of_a_maestro_are_removed_before_its_first_pulses() -> None:

@@ -91,9 +91,10 @@ def test_maestro_is_at_the_uart_of_the_servos_with_both_lines_in_use() -> None:
     port.write(b"\xa1")
     port._uart.received += b"\0\0"
     assert (port._uart.take(), port.read()) == (b"\xa1", b"\0\0"), "no direction pin, and no echo to drop"
-    settings.BAUD_RATE = 1_000_000
-    with pytest.raises(ValueError, match="BAUD_RATE of at most 200000 expected for a Maestro, found 1000000"):
-        board.start(settings, 1, 0)
+    for rate in (38_400, 1_000_000):
+        settings.BAUD_RATE = rate
+        with pytest.raises(ValueError, match=f"BAUD_RATE of 57600 to 200000 expected for a Maestro, found {rate}"):
+            board.start(settings, 1, 0)
     settings.PULSES = (424_400, 1500, 1000, 50, 0)
     with pytest.raises(ValueError, match="PCA9685 or Maestro expected in PULSES, found 424400"):
         board.start(settings, 1, 0)
