@@ -9,7 +9,7 @@ from sextant.shared.geometry import Array
 SEARCH_DEPTH_M = 0.04  # [m] by which a foot searches below its target
 _SPEED_M_S = 0.04  # [m/s] at which searching feet move down ...
 _CYCLE_M = 0.001  # [m] ... but not further from one reading to the next, as in a slow control cycle
-_PATIENCE_S = 0.1  # [s] for which they wait for a lost reading
+_PATIENCE_S = 0.1  # [s] for which they wait for a reading of each of them
 _PUSHED_DOWN_M = 0.005  # [m] of search after which the load of all joints of the leg shows that the foot stood all the time
 
 
@@ -21,7 +21,8 @@ class GroundSearch:
         self.legs = legs.copy()  # (6,) legs that still search
         self.depth = depth  # [m] below the heights at which the feet stood
         self._reach = SEARCH_DEPTH_M + stop_height  # (6,) [m] largest depth of each
-        self._unheard_s = 0.0  # [s] since a leg was last heard
+        self._unheard = legs.copy()  # (6,) legs without a reading since the last increase in depth
+        self._waited_s = 0.0  # [s] for which there have been such legs
 
     def update(self, felt: FootContact) -> NDArray[np.bool_]:
         """Return legs (6,) that have found ground; they no longer search."""
@@ -38,10 +39,13 @@ class GroundSearch:
 
     def deepen(self, dt: float, felt: FootContact) -> float:
         """Search deeper for `dt` [s], unless a reading is still to come; return the increase in depth [m]."""
-        unheard = self.legs & felt.known & ~felt.heard
-        self._unheard_s = self._unheard_s + dt if np.count_nonzero(unheard) else 0.0
-        if 0.0 < self._unheard_s <= _PATIENCE_S:
+        self._unheard &= self.legs & felt.known & ~felt.heard
+        waits = bool(np.count_nonzero(self._unheard))
+        self._waited_s = self._waited_s + dt if waits else 0.0
+        if 0.0 < self._waited_s <= _PATIENCE_S:
             return 0.0
+        if not waits:
+            self._unheard = self.legs.copy()
         step = min(_SPEED_M_S * dt, _CYCLE_M)
         self.depth += step
         return step

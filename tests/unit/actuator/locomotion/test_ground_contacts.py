@@ -121,6 +121,17 @@ def test_searching_feet_wait_for_a_lost_reading_but_not_for_a_silent_leg() -> No
     assert GroundSearch(FIRST, np.zeros(6)).deepen(DT, felt(heard=~FIRST, known=~FIRST)) > 0.0
 
 
+def test_searching_feet_that_are_heard_in_turn_move_once_for_each_reading() -> None:
+    for count in (2, 3):
+        search, unheard_m = GroundSearch(np.arange(6) < count, np.zeros(6)), np.zeros(count)
+        for cycle in range(60):
+            heard = np.arange(6) == cycle % count
+            unheard_m[heard[:count]] = 0.0
+            unheard_m += search.deepen(DT, felt(heard=heard))
+            assert unheard_m.max() <= 0.001
+        assert search.depth > 0.015
+
+
 def test_only_feet_that_lag_far_and_long_in_the_air_are_held() -> None:
     held, far = HeldFeet(), FEET + 0.06 * UP
     lag = [held.update(FIRST, far, felt(), DT).tolist() for _ in range(20)]
