@@ -7,7 +7,7 @@ follow in the next one.
 
 A write is not answered, so what is written outside the loop is read again. A position is the only value that is read in
 every turn. Every fifth call reads, in this order, a voltage and a temperature of the next servo in turn, and the temperature of
-the hottest servo.
+the hottest servo that answers.
 """
 
 import math
@@ -297,7 +297,8 @@ class CommandBus(ServoBus):
         self._slow = (self._slow + 1) % (_SLOW_TURNS * len(self))
         kind = int(turn != _VOLTAGE_TURN)
         if turn == _HOTTEST_TURN:
-            index = int(np.argmax([0.0 if math.isnan(degrees) else degrees for _, degrees in self._slow_values]))
+            degrees = np.nan_to_num([degrees for _, degrees in self._slow_values])
+            index = int(np.argmax(np.where(self.missed, 0.0, degrees)))
         if self.missed[index]:  # it costs a timeout, and its position tells when it is back
             return index
         register, unit, leap, flag = (

@@ -3,7 +3,7 @@
 At 115 200 bit/s, 20 ms carry twelve goals and seven positions. The goals that have changed most are written, those of the
 servos that the host names first before all others. Just before the state after the goals, these servos are read. The rest of
 the time reads the others in turn, and ten times a second, in this order, a voltage and a temperature of the next servo in turn,
-and the temperature of the hottest servo.
+and the temperature of the hottest servo that answers.
 """
 
 from . import wire
@@ -143,7 +143,7 @@ class CommandFirmware(Firmware):
             self._slow_us = self._now_us
             self._next_slow = (self._next_slow + 1) % (len(_SLOW) * count)
             turn = self._next_slow % len(_SLOW)
-            hottest = max(self._servos, key=lambda servo: servo.heat)
+            hottest = max(self._servos, key=lambda servo: servo.heat if self._answers(servo) else 0)
             return hottest if turn == _HOTTEST else self._servos[self._next_slow // len(_SLOW)], _SLOW[turn], 1
         for _ in range(count):
             self._next = (self._next + 1) % count
@@ -153,8 +153,11 @@ class CommandFirmware(Firmware):
 
     def _reading_of(self, servo: _CommandServo) -> tuple:
         """Return the reading of a position; one that gets lost is repeated, but not that of a silent servo."""
-        answers = servo.asked_us is not None and self._now_us - servo.asked_us < FRESH_US
-        return servo, _STATE, 2 if answers else 1
+        return servo, _STATE, 2 if self._answers(servo) else 1
+
+    def _answers(self, servo: _CommandServo) -> bool:
+        """Return whether a servo has answered lately."""
+        return servo.asked_us is not None and self._now_us - servo.asked_us < FRESH_US
 
     def _goals_packet(self) -> bytes:
         """Return the packet of the next goal. New goals replace those that wait, but not while torque on waits for them."""

@@ -177,12 +177,15 @@ def test_voltage_and_temperature_of_each_servo_are_read_in_turn() -> None:
     assert volts == degrees == set(range(6))
 
 
-def test_temperature_of_the_hottest_servo_is_read_often() -> None:
+@pytest.mark.parametrize("silent", [0, 9])
+def test_temperature_of_the_hottest_servo_that_answers_is_read_often(silent: int) -> None:
     legs = _Legs()
     legs.bus.set_torque(True)
-    legs.servos.temperature[7] = 58.0
+    legs.servos.temperature[7], legs.servos.temperature[8] = 58.0, 50.0 + silent
     unread, longest = 0, 0
     for k in range(600):
+        if k == 5 * 3 * 18:
+            legs.silent, unread = silent, 0
         readings = legs.cycle([_CENTRE] * 18)
         unread += 1
         if any(one.index == 7 and Feedback.TEMPERATURE in one.measured for one in readings):

@@ -385,13 +385,16 @@ def test_voltage_and_temperature_of_each_servo_come_in_turn() -> None:
     assert [max(found) for found in degrees] == pytest.approx([31, 32, 33], abs=1)
 
 
-def test_temperature_of_the_hottest_servo_comes_often() -> None:
+@pytest.mark.parametrize("silent", [False, True])
+def test_temperature_of_the_hottest_servo_that_answers_comes_often(silent: bool) -> None:
     bench = in_session(n=18)
-    bench.bank.temperature[7] = 58.0
+    bench.bank.temperature[7], bench.bank.temperature[8] = 58.0, 59.0 if silent else 50.0
     bench.pass_time(6000 * MS)
+    bench.bus.cut_off(frozenset((8,) if silent else ()))
+    bench.pass_time(200 * MS)
     found = [message for message in bench.pass_time(3000 * MS) if isinstance(message, State)]
     told = [k for k, message in enumerate(found) if message.temperature[7]]
-    assert max(later - before for before, later in itertools.pairwise(told)) * 3000 / len(found) < 400, "[ms]"
+    assert max(later - before for before, later in itertools.pairwise((0, *told))) * 3000 / len(found) < 400, "[ms]"
 
 
 def test_new_session_with_fewer_servos_forgets_those_before() -> None:
