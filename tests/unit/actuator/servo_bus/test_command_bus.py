@@ -1,13 +1,15 @@
 """The driver of servos with commands, against their byte-level emulator: what a slow bus without acknowledgements allows."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sextant.services.actuator.safety.health_monitor import SILENT
 from sextant.services.actuator.servo_bus.bus_scan import call, problems, scan_servo
-from sextant.services.actuator.servo_bus.command_bus import CommandBus, bus_of
+from sextant.services.actuator.servo_bus.command_bus import _SLOW_EVERY, _SLOW_TURNS, CommandBus, bus_of
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.servo import lx16a
 from sextant.shared.servo.lx16a import Command
@@ -15,6 +17,7 @@ from sextant.shared.servo.models import AX_12A, LX_16A, MODELS
 from sextant.shared.servo.servo_model import Feedback, ServoError
 from tests.support.families import Bench
 
+ROOT = Path(__file__).parents[4]
 _BUDGET_NS, _CYCLE_S = 9_000_000, 0.02
 _TICK, _CENTRE = LX_16A.units.tick_rad, LX_16A.units.centre
 TABLE = LX_16A.table
@@ -193,6 +196,14 @@ def test_temperature_of_the_hottest_servo_that_answers_is_read_often(silent: int
         if k >= 5 * 3 * 18:
             longest = max(longest, unread)
     assert longest < 20, "0.4 s"
+
+
+@pytest.mark.parametrize("page", ["servos", "firmware"])
+def test_page_states_how_often_temperatures_are_read(page: str) -> None:
+    text = " ".join((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").split())
+    turn_s = _SLOW_TURNS * _SLOW_EVERY * _CYCLE_S
+    words = rf"each of (the|18) servos (within|once in) {18 * turn_s:.1f} s, the hottest one every {turn_s:.1f} s"
+    assert re.search(words, text)
 
 
 def test_one_broken_voltage_is_not_believed() -> None:
