@@ -42,6 +42,7 @@ _SET_DOWN_S = 0.33  # [s] in which feet in the air reach the ground once the rob
 _SOFTLY = 12.5  # time constants of the servos' inertia that this takes at least: else heavy rotors lift the body at touchdown
 _BRAKE_S = 0.2  # [s] minimum braking time of the body, if its step lasts that long
 _MAX_SPEEDUP = 1.75  # largest speed-up of a step that sets its feet down; at a factor of two, joints arrive late
+_UNFELT_S = 0.04  # [s] by which a step advances at most in a cycle if contact is not measured
 _RETURN_CONTACT_M = 0.015  # [m] below this height a returning foot may meet ground; higher, the reversal looks like touchdown
 _REVERSAL_CLEARANCE_M = 0.010  # [m] clearance of feet that reverse in mid-swing
 
@@ -353,7 +354,9 @@ class StepExecutor:
             self._press.stop()
             self._rest(dt, felt)
         else:
-            self._advance(dt * pace if self.gentle else dt, self._running, felt)
+            # Feet that follow their plan unmeasured must have the time for it, also in late cycles.
+            progress = dt if felt is not None else min(dt, _UNFELT_S)
+            self._advance(progress * pace if self.gentle else progress, self._running, felt)
         self._contacts.settle(self._feet, dt)
         level = rotation_from_rpy(body.xyz_rpy[3:] * LEVEL)
         feet = self._press.lowered(self._posture.lowered(self._feet), dt)

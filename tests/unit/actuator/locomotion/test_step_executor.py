@@ -58,6 +58,16 @@ def test_the_body_passes_through_every_goal(dt: float) -> None:
         assert walker.step == number
 
 
+@pytest.mark.parametrize(("felt", "advanced_s"), [(True, 0.08), (False, 0.04)])
+def test_a_late_cycle_does_not_hurry_feet_whose_contact_is_not_measured(felt: bool, advanced_s: float) -> None:
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.04)))
+    walker.update(DT, walker.body_ref, FootContact(~ALL, ALL, walker.feet_odom))
+    before = walker.phase
+    walker.update(0.08, walker.body_ref, FootContact(~ALL, ALL, walker.feet_odom) if felt else None)
+    assert (walker.phase - before) * DURATION == pytest.approx(advanced_s)
+
+
 def walker_swing(number: int) -> Flags:
     return np.asarray(TRIPOD if number % 2 else ~TRIPOD)
 
