@@ -17,6 +17,7 @@ from sextant.shared.servo.servo_model import Recovery, ServoError
 
 _DEFAULT = "phantomx_mk2"  # the robot of the limits in `cases`
 _SLOWER_S = 0.4  # [s] that a robot may take longer to notice a silent servo with commands: each is read within that time
+_PULSES_S = 0.06  # [s] that hobby servos may take longer to come to rest: three of their pulses
 _START_S = 0.8  # [s] that the actuator may take longer to start with such servos, which need a command for each value
 
 
@@ -26,8 +27,9 @@ def of_robot(cases: Iterable[Case], profile: RobotProfile) -> list[Case]:
     - Goals are at most as fast as its servos, which have 354 deg/s in the table; goals of servos with commands are sent
       in every second cycle, so that two cycles' change is seen in one.
     - Servos with heavy rotors set their feet down more slowly, and overshoot a commanded speed.
-    - Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. Wrong
-      answers of their board may mean that all pulses are lost; then the robot stands until the operator has laid it down.
+    - Hobby servos report nothing: faults of readings and of the supply are impossible, and none of a servo is noticed. The
+      answers of their board are not needed to walk, so the robot may walk on while some of them are lost. Wrong ones may mean
+      that all pulses are lost; then the robot stands until the operator has laid it down.
     - A constant supply, as of the RX-64 robot, does not run empty. The voltage of a battery falls with the current, so a nearly
       empty one is fuller for motors that take more than those of the table.
     - Servos with commands report no errors: a shutdown has no effect on them.
@@ -83,7 +85,8 @@ def _with_commands(limits: Limits, on_bus: Sequence[tuple[str, str]], starts: bo
 
 
 def _with_hobby_servos(limits: Limits, on_bus: Sequence[tuple[str, str]]) -> Limits:
-    if any(target == "servo" for target, _ in on_bus):
+    limits = replace(limits, rest_s=limits.rest_s + _PULSES_S)
+    if ("packets", "silent") in on_bus or any(target == "servo" for target, _ in on_bus):
         return replace(limits, decided_s=inf, named="", again_s=inf, unnamed_margin_m=-inf)
     if not on_bus or not limits.named:
         return limits

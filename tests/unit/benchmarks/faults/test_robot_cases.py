@@ -68,6 +68,12 @@ def test_fault_of_a_hobby_servo_is_not_noticed_but_must_cause_no_fall() -> None:
     assert found.torque_stays
 
 
+def test_hobby_servos_may_walk_on_without_some_answers_and_rest_later() -> None:
+    found = limits("printed_ds3218", "lost-40")
+    assert (found.decided_s, found.again_s, found.named) == (inf, inf, "")
+    assert limits("printed_ds3218", "planner-killed").rest_s == pytest.approx(0.76)
+
+
 def test_faults_of_the_board_keep_their_limits() -> None:
     gone, stuck = limits("printed_ds3218", "bus-gone"), limits("printed_ds3218", "bus-stuck")
     assert (gone.decided_s, gone.again_s) == (0.25, 3.0)
