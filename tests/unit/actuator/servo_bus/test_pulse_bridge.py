@@ -502,6 +502,38 @@ def test_a_maestro_that_restarts_unnoticed_for_some_requests_gets_no_pulses(lost
     assert (rig.torque, rig.mode) == (0, Mode.OFF)
 
 
+def test_a_maestro_that_restarts_and_gives_impossible_answers_gets_no_pulses() -> None:
+    rig = of_maestro(torque=True)
+    rig.driver.setup()
+    rig.cycle(10, CENTRE + 100)
+    assert rig.mode is Mode.ON
+    rig.chips.restart(rig.now_ns)
+    receive = rig.chips.receive
+
+    def impossible(data: bytes, now_ns: int) -> list[Reply]:
+        replies = receive(data, now_ns)
+        return [replies[0]._replace(data=b"\xff\xff"), *replies[1:]] if replies else []
+
+    rig.chips.receive = impossible  # type: ignore[method-assign]
+    rig.cycle(25, CENTRE + 120)
+    assert rig.torque == 0
+    rig.chips.receive = receive  # type: ignore[method-assign]
+    rig.cycle(25, CENTRE + 120)
+    assert (rig.torque, rig.mode) == (0, Mode.OFF)
+
+
+@BOARDS
+def test_boards_that_are_silent_when_a_session_begins_get_pulses_later(pulses: Pulses) -> None:
+    rig = Rig(pulses)
+    rig.faults.inject(BusFault("bus", "silent", 0.0, 0.8), 0)
+    rig.driver.setup()
+    rig.cycle(60, CENTRE)
+    assert (rig.torque, rig.mode) == (0, Mode.OFF)
+    rig.driver.set_torque(True)
+    rig.cycle(round(7 * LEG_US * 1000 / PERIOD_NS), CENTRE)
+    assert (rig.torque, rig.mode, rig.driver.trouble) == (18, Mode.ON, "")
+
+
 def test_pulses_that_are_read_back_a_period_later_are_no_error() -> None:
     rig = of_maestro()
     assert isinstance(rig.chips, MaestroEmulator)
