@@ -119,6 +119,14 @@ def test_apply_equals_matrix_product(T: Array, x: float) -> None:
     np.testing.assert_allclose(g.apply(g.inverse(T), g.apply(T, points)), points, atol=1e-9)
 
 
+@given(transforms(), transforms())
+def test_apply_takes_many_transforms_of_the_same_or_of_different_points(A: Array, B: Array) -> None:
+    points, both = np.array([[1.0, -2.0, 3.0], [0.5, 0.0, 4.0]]), np.stack([A, B])
+    np.testing.assert_allclose(g.apply(both, points), [g.apply(A, points), g.apply(B, points)], atol=1e-10)
+    different = np.stack([points, 2.0 * points])
+    np.testing.assert_allclose(g.apply(both, different), [g.apply(A, points), g.apply(B, 2.0 * points)], atol=1e-10)
+
+
 @given(transforms())
 def test_screw_motion_round_trip(T: Array) -> None:
     np.testing.assert_allclose(g.exp_se3(g.log_se3(T)), T, atol=1e-6)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sextant.services.planner.config import Settings
+from sextant.services.planner.locomotion.body_pose import leaning
 from sextant.services.planner.locomotion.gait import GAITS, Pace, directions, swing_order
 from sextant.services.planner.locomotion.params import StepParams
 from sextant.services.planner.locomotion.step_planner import SHARES, NoStep, PlannedStep, StepPlanner, StepStart
@@ -249,6 +250,49 @@ def test_body_is_lowered_or_pitched_for_low_touchdowns(make_terrain: Maker) -> N
     check_walkable(found, at)
     assert found.touchdown[0, 2] < -0.05
     assert found.body_goal[2, 3] < high or rpy_from_rotation(found.body_goal[:3, :3])[1] > 0.0
+
+
+class _Scripted(StepPlanner):
+    """Planner whose legs reach their feet by chance, always the same ones from the same pose of the body."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(PROFILE, SETTINGS)
+        self.rng, self.share = np.random.default_rng(seed), (0.2, 0.5, 0.8)[seed % 3]
+        self.legs: dict[bytes, Flags] = {}
+        self.feet: list[Array] = []  # those asked for, and the poses
+        self.bodies: list[Array] = []
+        self.postures: list[tuple[Array, float]] = []
+
+    def of(self, T: Array) -> Flags:
+        return self.legs.setdefault((np.round(T, 9) + 0.0).tobytes(), self.rng.random(6) < self.share)
+
+    def reached(self, feet_world: Array, T_world_body: Array) -> Flags:
+        self.feet += list(feet_world)
+        self.bodies += list(T_world_body)
+        return np.array([self.of(T) for T in T_world_body])
+
+    def _postures(self, T_world_body: Array, slope: Array, room: float) -> tuple[Array, Array]:
+        leans, stoops = super()._postures(T_world_body, slope, room)
+        self.postures = list(zip(leans, stoops.tolist(), strict=True))
+        return leans, stoops
+
+
+def test_body_takes_the_first_posture_in_which_all_legs_reach_or_else_those_that_stand() -> None:
+    taken, margin = set(), np.array([0.0, 0.0, PLANNER._params.reach_margin_m])
+    for seed in range(1000, 1060):
+        planner, at = _Scripted(seed), standing()
+        at.feet[:, 2] += 0.2 * at.feet[:, 0]
+        T_end, T_after = (from_xyz_rpy((x, 0.0, HEIGHT), np.zeros(3)) for x in (0.02, 0.04))
+        found = planner._raised(at, FLAT, T_end, T_after, at.feet[:, :2])
+        each = [tuple(leaning(T, *posture) for T in planner.bodies[:2]) for posture in planner.postures]
+        reached = [planner.of(end) & (planner.of(after) | ~TRIPOD) for end, after in each]
+        best, second = ([k for k, legs in enumerate(reached) if legs[which].all()] for which in (TRIPOD | True, ~TRIPOD))
+        first = (best or second or [0])[0]
+        np.testing.assert_allclose(found, each[first], atol=1e-9)
+        for feet in planner.feet[2:]:
+            np.testing.assert_allclose(planner.feet[0] - feet, np.broadcast_to(margin, (6, 3)), atol=1e-9)
+        taken.add(("all" if best else "standing" if second else "none", first > 0))
+    assert taken == {("all", False), ("all", True), ("standing", False), ("standing", True), ("none", False)}
 
 
 @pytest.mark.parametrize(("asked", "why"), [(command(height=0.25), "body height"), (command(lift=0.2), "lift of")])
