@@ -10,6 +10,10 @@ from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWER
 from sextant.services.actuator.safety.health_monitor import SILENT
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError
 from sextant.services.actuator.servo_bus.joints import Joints
+from sextant.services.simulator.servo_bus.bus import ServoBusEmulator
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
+from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.dynamixel import Instruction
 from sextant.shared.servo.servo_model import ServoError
@@ -145,6 +149,22 @@ def test_voltage_and_temperature_are_nan_until_first_reading() -> None:
     assert (rig.joints.temperature > 15.0).all()
     assert rig.joints.vitals.newest < 0.05
     assert rig.joints.vitals.trouble == ""
+
+
+def test_newest_voltage_of_servos_that_seldom_report_it_is_that_of_all() -> None:
+    profile = load_profile("jethexa_hx35h")
+    bank = make_servo_bank(profile.servo, profile.servo_ids.ravel().tolist(), np.zeros(18))
+    bus, now_ns = ServoBusEmulator(bank), 0
+    port = MemoryPort(bus, lambda: now_ns)
+    joints = Joints(profile, Settings(), lambda: port, port.now_ns)
+    table, ticks = bank.table, round(bank.voltage / bank.model.units.volt)
+    for lower in (0, 600, 300):  # a sag of 0.6 V
+        bank.column(table.present_voltage)[:] = ticks - lower
+        for _ in range(20):  # 0.4 s
+            now_ns = max(now_ns + PERIOD, port.now_ns())
+            bus.advance(now_ns)
+            joints.read([])
+        np.testing.assert_allclose(joints.voltage, (ticks - lower) * bank.model.units.volt, atol=0.01)
 
 
 def test_packet_loss_is_zero_until_observation_window_is_filled() -> None:
