@@ -89,7 +89,7 @@ def _keep(part: Part, folders: list[Path]) -> None:
     kept = DOCS / part.kept
     if not part.of_trials:
         if not (folders[0] / part.result).exists():
-            raise PartError(f"{folders[0] / part.result} expected, found none; the command says why")
+            raise PartError(f"{folders[0] / part.result} expected, found none; the output of the command states the cause")
         whole_files.write_text(kept, (folders[0] / part.result).read_text(encoding="utf-8"), durable=True)
         return
     runs = [run for path in results_store.files(folders) for run in results_store.read(path)]
