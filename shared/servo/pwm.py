@@ -88,7 +88,7 @@ class Pulses:
 
 
 class _Channels(NamedTuple):
-    """What a board has in common with a bus. It carries no packets."""
+    """Properties that a board shares with a bus. It carries no packets."""
 
     NAME: str
     MAX_ID: int  # last channel

@@ -1,6 +1,6 @@
 """Horn calibration: servo angles of a leg bent to a known pose give the trims.
 
-Torque is off while the leg is bent. Only on the operator's request the leg is then held, with little torque, for a check.
+Torque is off while the leg is bent. If the operator asks for a check, the leg is then held with little torque.
 """
 
 from collections.abc import Callable, Collection, Sequence

@@ -1,4 +1,4 @@
-"""What the operator sees of a joint's motion: a wrong direction or another joint, which no servo measures."""
+"""The operator's view of a joint's motion. It shows a wrong direction or another joint, which no servo measures."""
 
 import numpy as np
 

@@ -54,7 +54,7 @@ class BridgeLink(ABC):
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The servo type.
             servo: Name by which the board must know it.
-            advice: What to do if the board knows another one.
+            advice: Says what to do if the board knows another model.
 
         Raises:
             ValueError: Too many ids.

@@ -308,7 +308,7 @@ class ServoBus:
             self._line.send(packet)
 
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
-        """Read the next servos of the rotation, as many as typically fit a time budget.
+        """Read as many of the next servos in the rotation as a time budget typically allows.
 
         A servo that does not answer costs a timeout. After the third in a row it is read only every 2nd, 4th, then 8th turn. A
         broken answer, or a position that leaps from the last one and the goal, is requested again at once. If that fails, the

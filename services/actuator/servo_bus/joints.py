@@ -91,7 +91,9 @@ class Joints:
         self.voltage = np.full(18, np.nan)  # [V]
         self._voltage_ns = np.zeros(18, dtype=np.int64)  # stamps of these
         rare = np.array([model.commands is not None for model in self._models])  # servos whose voltage is seldom read
-        self._of_supply = [rare if rare[index] else index for index in range(18)]  # whose voltage that of a servo is
+        self._of_supply = [
+            rare if rare[index] else index for index in range(18)
+        ]  # servos that each one's voltage is stored for
         self.temperature = np.full(18, np.nan)  # [deg C]
 
     def close(self) -> None:

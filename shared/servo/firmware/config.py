@@ -1,4 +1,4 @@
-"""Settings of the board, for a Teensy 4.1. Change them for yours; docs/firmware.md has those of other boards."""
+"""Settings of the board. They fit a Teensy 4.1; change them for yours. docs/firmware.md has those of other boards."""
 
 NAME = "Teensy 4.1"  # at most 32 characters
 SERVO = "AX-12A"  # model of all servos, a name in models.py; "PWM" for hobby servos

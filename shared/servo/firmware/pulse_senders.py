@@ -135,7 +135,7 @@ class Pca9685(PulseSender):
 
 
 class Maestro(PulseSender):
-    """A Mini Maestro, with the compact or, for a device number, the Pololu protocol. Counts are quarters of a microsecond."""
+    """A Mini Maestro. With a device number it takes the Pololu protocol, else the compact one. Counts are quarters of a us."""
 
     channels = 24
     acknowledges = False
