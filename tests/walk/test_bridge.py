@@ -98,6 +98,7 @@ def test_bridge_reconnects_over_tcp_socket() -> None:
             """Run cycles until the board is in a mode; return the number of readings."""
             readings, limit_s = 0, time.monotonic() + PATIENCE_S
             while time.monotonic() < limit_s:
+                driver.sync_write_goals([513, 514, 515])  # first: without fresh goals the board refuses torque
                 driver.set_torque(mode is Mode.ON)
                 anew_s = time.monotonic() + ANEW_S
                 while time.monotonic() < anew_s:
