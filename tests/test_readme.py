@@ -119,6 +119,7 @@ RUN_BY = {
     "servos centre": "tests/unit/deploy/test_pulse_servos_command.py::"
     "test_one_channel_is_sent_to_its_middle_and_has_no_pulses_afterwards",
     "servos emulate": "tests/test_commissioning.py::test_commissioning_tutorial_runs_as_written",
+    "doctor --bridge": "tests/unit/deploy/doctor/test_servo_checks.py::test_servos_behind_a_bridge_are_checked_as_on_a_bus",
     "doctor": "tests/unit/deploy/test_cli.py::test_doctor_exit_code_follows_failed_checks",
 }
 SHELL = ("source .venv/bin/activate",)  # of the shell itself

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, say
 from sextant.deploy.commands.servo_port import Bus
-from sextant.deploy.terminal.arguments import command, option
+from sextant.deploy.terminal.arguments import command, flag, option
 
 if TYPE_CHECKING:
     from sextant.deploy.doctor.check import Check
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 @command()
 @option("--port", "also check this servo port, e.g. /dev/ttyUSB0", "DEVICE")
+@flag("--bridge", "a microcontroller on the port drives the servos, see docs/bridge.md")
 @option("--camera", "also check this camera: openni2, realsense, oak, orbbec, external, or a folder", "DEVICE", default="")
 @option(
     "--stranger",
@@ -24,12 +25,16 @@ if TYPE_CHECKING:
 @option("--keys", "folder of `sextant keys new` with its ca/; --stranger then also tries an expired certificate", "DIR")
 @options.robot
 @options.as_json
-def doctor(port: str | None, camera: str, stranger: str | None, keys: str | None, robot: str, as_json: bool) -> int:
+def doctor(
+    port: str | None, bridge: bool, camera: str, stranger: str | None, keys: str | None, robot: str, as_json: bool
+) -> int:
     """Check that this machine has what the services need."""
     from sextant.deploy.doctor import machine_checks as checks
     from sextant.deploy.doctor.check import Level
 
-    found = _strange(stranger, keys) if stranger else checks.examine(port, robot, camera)
+    if bridge and port is None:
+        raise InputError("--bridge: --port DEVICE expected, the port of the microcontroller")
+    found = _strange(stranger, keys) if stranger else checks.examine(port, robot, camera, bridge=bridge)
     bus = Bus(robot, port or "")
     found = [replace(check, advice=bus.completed(check.advice)) for check in found]
     say(checks.to_json(found) if as_json else checks.in_words(found))

@@ -219,14 +219,11 @@ def open_bridge(port: str, profile: "RobotProfile") -> "Servos":
     Raises:
         BusDisconnectedError: The port cannot be opened.
     """
+    from sextant.services.actuator.servo_bus.bridge_link import READ_NS
     from sextant.services.actuator.servo_bus.bus_driver import open_port
-    from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
-    from sextant.services.actuator.servo_bus.servo_interface import behind_pulse_bridge
+    from sextant.services.actuator.servo_bus.servo_interface import behind_bridge
 
-    names, model, opened = profile.servo_names, profile.servo_model, open_port(port, timeout_ns=READ_NS)
-    if profile.servo.pulses is not None:
-        return behind_pulse_bridge(profile, opened, time.monotonic_ns)
-    return Bridge(opened, list(names), time.monotonic_ns, model=model, names=names)
+    return behind_bridge(profile, open_port(port, timeout_ns=READ_NS), time.monotonic_ns)
 
 
 def patience_ns(rate: int) -> int:

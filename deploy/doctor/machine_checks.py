@@ -37,14 +37,15 @@ _FULL = 0.75  # [1] share of the cores that a walk may use; other programs and Z
 _SLOW_MS = 5.0  # a loopback round trip normally takes well under a millisecond
 
 
-def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = "") -> list[Check]:
+def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = "", *, bridge: bool = False) -> list[Check]:
     """Run all checks.
 
-    The servo port is checked only if one is given. The camera is `camera`, or that of the robot's profile.
+    The servo port is checked only if one is given; with `bridge` a microcontroller is at it. The camera is `camera`, or that of
+    the robot's profile.
     """
     checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(robot), chain(robot), disk(Path())]
     checks += [depth_camera(robot, camera), *inertial_sensor(robot)]
-    return [*checks, *servo_checks.examine(port, robot)]
+    return [*checks, *servo_checks.examine(port, robot, bridge=bridge)]
 
 
 def python(version: tuple[int, int] | None = None) -> Check:

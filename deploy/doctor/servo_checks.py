@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -21,18 +22,20 @@ from sextant.shared.servo.bus_ports import all_ports, bus_ports, find_port, wron
 if TYPE_CHECKING:
     from sextant.services.actuator.servo_bus.bus_driver import Port
     from sextant.services.actuator.servo_bus.bus_scan import ServoScan
+    from sextant.services.actuator.servo_bus.servo_interface import Servos
     from sextant.shared.robot.profile import RobotProfile
     from sextant.shared.servo.servo_model import ServoModel
 
 _PATIENCE_NS = 50_000_000  # [ns] to wait for an answer; a servo that answers late is present
 _OLD_DAYS = 180  # [days] of a calibration: horns settle and screws are loosened
+_NO_POWER = "check the servos' power and the cable at the adapter; if a microcontroller drives the servos, add --bridge"
 _DEVICES = ("ttyUSB*", "ttyACM*")
 
 
-def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[Check]:
+def examine(port: str | None, robot: str, dev: Path = Path("/dev"), *, bridge: bool = False) -> Iterator[Check]:
     """Check a servo port and the robot on it.
 
-    Without a port, report that none is checked; a base station has none.
+    Without a port, report that none is checked; a base station has none. With `bridge` a microcontroller is at the port.
     """
     if port is None:
         yield none_given(dev)
@@ -57,14 +60,15 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
         advice = "name the port of each bus with --port" if profile.buses else "give the port alone with --port"
         yield Check(f"servo port {port}", Level.FAIL, words, advice)
         return
-    board = profile.servo.pulses.board if profile.servo.pulses else ""
+    board = profile.servo.pulses.board if profile.servo.pulses and not bridge else ""
     if words := next(filter(None, (wrong_kind(one, board) for one in all_ports(port))), ""):
         yield Check(f"servo port {port}", Level.FAIL, words, "name the port with --port, and the robot with --robot")
         return
-    for one_port, servos_on_it in of_each_bus(port, profile):
-        yield from servos(one_port, servos_on_it)
+    for one_port, servos_on_it in [(port, profile)] if bridge else of_each_bus(port, profile):
+        yield from at_bridge(one_port, servos_on_it) if bridge else servos(one_port, servos_on_it)
         yield latency(one_port)
-    yield calibration(profile, date.today())
+    made = calibration(profile, date.today())
+    yield replace(made, advice=f"{made.advice}, with an adapter in the board's place") if bridge and made.advice else made
 
 
 def of_each_bus(port: str, profile: "RobotProfile") -> "list[tuple[str, RobotProfile]]":
@@ -101,13 +105,13 @@ def out_of_reach(port: str) -> Check | None:
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that all of the robot's servos respond, and their state."""
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, open_port
-    from sextant.services.actuator.servo_bus.bus_scan import ALSO_ASKS, ECHO, problems
+    from sextant.services.actuator.servo_bus.bus_scan import ALSO_ASKS, ECHO
     from sextant.services.actuator.servo_bus.other_device import NotAServoBusError
 
     if profile.servo.pulses is not None:
         yield from board(port, profile)
         return
-    name, names, model = f"servo port {port}", profile.servo_names, profile.servo_model
+    name, model = f"servo port {port}", profile.servo_model
     try:
         opened = open_port(port, model.bus_rate, _PATIENCE_NS)
     except BusDisconnectedError as error:
@@ -116,14 +120,23 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     try:
         seen, echo = _called(opened, profile)
     except BusDisconnectedError as error:
-        other = isinstance(error, NotAServoBusError)
-        yield Check(name, Level.FAIL, str(error), "give another port with --port" if other else "check the plug and the cable")
+        advice = "check the plug and the cable"
+        if isinstance(error, NotAServoBusError):
+            advice = "add --bridge" if error.is_bridge else "give another port with --port"
+        yield Check(name, Level.FAIL, str(error), advice)
         return
     if echo:
         yield Check(name, Level.WARN, *ECHO)
+    yield from answering(name, seen, profile, f"{_NO_POWER}; {ALSO_ASKS}")
+
+
+def answering(name: str, seen: "dict[int, ServoScan]", profile: "RobotProfile", power: str) -> Iterator[Check]:
+    """Check that all of the robot's servos are among those that answer, and their state; `power` is the advice for none."""
+    from sextant.services.actuator.servo_bus.bus_scan import problems
+
+    names = profile.servo_names
     if not seen:
-        advice = f"check the servos' power and the cable at the adapter; {ALSO_ASKS}"
-        yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
+        yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", power)
         return
     wrong = problems(names, seen)
     words = "; ".join(dict.fromkeys(problem.words for problem in wrong.values()))
@@ -140,20 +153,51 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
 
 def board(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Check that the board answers that sends pulses to hobby servos; the servos themselves cannot be checked."""
-    from sextant.services.actuator.commissioning.pulse_commissioning import NO_FEEDBACK, channels, open_servos
+    from sextant.services.actuator.commissioning.pulse_commissioning import open_servos
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError
 
     name = f"servo port {port}"
     try:
         with closing(open_servos(port, profile, time.monotonic_ns)) as opened:
-            found = channels(opened, profile)
+            opened.setup()
+            found = list(pulses(name, opened, profile))
     except (BusDisconnectedError, BusSetupError) as error:
         words = _in_place_of_board(port, profile, error) or str(error)
         yield Check(name, Level.FAIL, words, "check the board's power and cable, or give another port with --port")
         return
-    pulses = sum(bool(one.width_us) for one in found)
-    yield Check(name, Level.OK, f"the board answers; it sends pulses on {pulses} of {len(found)} channels")
+    yield from found
+
+
+def pulses(name: str, board: "Servos", profile: "RobotProfile") -> Iterator[Check]:
+    """Report the channels with pulses of a board that answers."""
+    from sextant.services.actuator.commissioning.pulse_commissioning import NO_FEEDBACK
+
+    channels = profile.servo_names
+    count = sum(bool(board.read(channel, board.model_of(channel).table.torque_enable)) for channel in channels)
+    yield Check(name, Level.OK, f"the board answers; it sends pulses on {count} of {len(channels)} channels")
     yield Check("servo feedback", Level.WARN, NO_FEEDBACK, "watch the legs and the battery yourself")
+
+
+def at_bridge(port: str, profile: "RobotProfile") -> Iterator[Check]:
+    """Check that a microcontroller answers and reaches all of the robot's servos, and their state."""
+    from sextant.services.actuator.config import Settings
+    from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, open_port
+    from sextant.services.actuator.servo_bus.bus_scan import call
+    from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
+    from sextant.services.actuator.servo_bus.servo_interface import on_port
+
+    name = f"servo port {port}"
+    try:
+        opened = open_port(port, timeout_ns=READ_NS)
+        with closing(on_port(profile, Settings(bridge=True), opened, time.monotonic_ns)) as board:
+            board.open_session()
+            if isinstance(board, Bridge):
+                seen = call(board.registers, profile.servo_names)
+                yield from answering(name, seen, profile, "check the servos' power and the cable at the board")
+            else:
+                yield from pulses(name, board, profile)
+    except (BusDisconnectedError, BusSetupError) as error:
+        yield Check(name, Level.FAIL, str(error), "check the board's power and cable, or give another port with --port")
 
 
 def _in_place_of_board(port: str, profile: "RobotProfile", error: Exception) -> str:

@@ -67,7 +67,7 @@ class Bridge(BridgeLink):
         advice = "set SERVO in the board's config.py, or `model` in the profile's table [servo]"
         super().__init__(port, servo_ids, clock, model, model.name, advice)
         n, questions = len(servo_ids), _Questions(self)
-        self._registers = bus_of(model)(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
+        self.registers = bus_of(model)(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self._fresh: dict[int, ServoReading] = {}  # unread readings, by index in the list
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._measured_us = [-_NEW_US - 1] * n  # the same, by the microcontroller's clock
@@ -80,16 +80,16 @@ class Bridge(BridgeLink):
     @property
     def between(self) -> Callable[[], None]:
         """Callback before each request to a servo outside the loop."""
-        return self._registers.between
+        return self.registers.between
 
     @between.setter
     def between(self, do: Callable[[], None]) -> None:
-        self._registers.between = do
+        self.registers.between = do
 
     @property
     def lost(self) -> Counter[str]:
         """Unusable frames and requests, by reason, also those of the microcontroller."""
-        return self._registers.lost + super().lost
+        return self.registers.lost + super().lost
 
     @property
     def missed(self) -> NDArray[np.int64]:
@@ -109,15 +109,15 @@ class Bridge(BridgeLink):
             BusDisconnectedError: The port is gone.
         """
         self.open_session()
-        self._registers.setup()
+        self.registers.setup()
 
     def read(self, servo_id: int, register: Register) -> int | None:
         """Return the value of a register, None when the servo does not answer."""
-        return self._registers.read(servo_id, register)
+        return self.registers.read(servo_id, register)
 
     def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
         """Return bytes of a control table, None when the servo does not answer or refuses."""
-        return self._registers.read_bytes(servo_id, address, size)
+        return self.registers.read_bytes(servo_id, address, size)
 
     def write(self, servo_id: int, register: Register, value: int) -> bool:
         """Write one register; return whether it is acknowledged.
@@ -127,11 +127,11 @@ class Bridge(BridgeLink):
         Raises:
             ValueError: The value is outside the register's range.
         """
-        return self._registers.write(servo_id, register, value)
+        return self.registers.write(servo_id, register, value)
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo; the bridge passes it on."""
-        self._registers.reboot(servo_id)
+        self.registers.reboot(servo_id)
 
     # --------------------------------------------------------------------------------------------------- in the loop
 

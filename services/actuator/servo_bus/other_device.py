@@ -4,10 +4,12 @@ from typing import NamedTuple, Protocol
 
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.actuator.servo_bus.serial_port import BusDisconnectedError
+from sextant.shared.servo import bridge_protocol
 
 _STRANGE_BYTES = 16  # unrequested bytes from which another device sends: fewer are noise on an open line
 _UNUSED_IDS = (251, 252)  # of all protocols, and of no robot
 _TEXT_RATES = (9_600, 57_600, 115_200)  # [1/s] at which devices send text
+_SHOWN_BYTES = 60  # [bytes] of a text
 _READABLE = 0.9  # [1] least share of letters in a text
 
 
@@ -44,7 +46,11 @@ class NotAServoBusError(BusDisconnectedError):
 
         Without a rate they came at that of the servos.
         """
-        letters = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in heard)
+        self.is_bridge = bool(bridge_protocol.Receiver(bridge_protocol.TO_HOST).feed(heard))
+        if self.is_bridge:
+            super().__init__("no servo bus: a microcontroller with the firmware of a bridge sends on the port")
+            return
+        letters = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in heard[:_SHOWN_BYTES])
         text = repr(letters) if _is_text(heard) else f"the bytes {heard[:8].hex(' ')} ..."
         at = f" at {rate} baud" if rate else ""
         others = ", ".join(usb_adapter.devices()) or "none"

@@ -243,23 +243,25 @@ def _stiffness(servos: Sequence[Servo]) -> list[float]:
     return [servo.stiffness / servo.stall_torque for servo in servos]
 
 
-def behind_pulse_bridge(profile: RobotProfile, port: Port, clock: Callable[[], int]) -> PulseBridge:
-    """Return the hobby servos of a robot behind a microcontroller on an open port."""
-    assert profile.servo.pulses is not None
-    return PulseBridge(port, list(profile.servo_names), clock, profile.servo.pulses)
+def behind_bridge(profile: RobotProfile, port: Port, clock: Callable[[], int]) -> Bridge | PulseBridge:
+    """Return the servos of a robot, taken to be of one model, behind a microcontroller on an open port."""
+    names, servo = profile.servo_names, profile.servo
+    if servo.pulses is not None:
+        return PulseBridge(port, list(names), clock, servo.pulses)
+    stiffness, lock = _stiffness(profile.servos.each), servo.lock_eeprom
+    return Bridge(port, list(names), clock, model=profile.servo_model, names=names, lock=lock, stiffness=stiffness)
 
 
 def on_port(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
-    """Return the servos of a robot with one bus on its open port."""
-    model, names = profile.servo_model, profile.servo_names
-    if profile.servo.pulses is not None:
-        if settings.bridge:
-            return behind_pulse_bridge(profile, port, clock)
-        return PwmServos(port, list(names), clock, profile.servo.pulses)
+    """Return the servos of a robot with one bus on its open port.
+
+    Raises:
+        BusSetupError: Servos of several models or buses are behind a microcontroller.
+    """
     if settings.bridge:
-        if profile.servo_groups:
+        if profile.servo_groups or profile.buses:
             raise BusSetupError(_ONE_BEHIND_BRIDGE.format(profile.name))
-        stiffness = _stiffness(profile.servos.each)
-        lock = profile.servo.lock_eeprom
-        return Bridge(port, list(names), clock, model=model, names=names, lock=lock, stiffness=stiffness)
+        return behind_bridge(profile, port, clock)
+    if profile.servo.pulses is not None:
+        return PwmServos(port, list(profile.servo_names), clock, profile.servo.pulses)
     return of_bus(profile, profile.servos.buses[0], port, clock, echo=settings.echo)

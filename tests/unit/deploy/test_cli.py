@@ -172,7 +172,7 @@ def test_doctor_exit_code_follows_failed_checks(capsys: pytest.CaptureFixture[st
 
     for level, status in ((machine_checks.Level.WARN, 0), (machine_checks.Level.FAIL, 1)):
         monkeypatch.setattr(
-            machine_checks, "examine", lambda *_, level=level: [machine_checks.Check("a", level, "so so", "mend it")]
+            machine_checks, "examine", lambda *_, level=level, **_rest: [machine_checks.Check("a", level, "so so", "mend it")]
         )
         assert cli.main(["doctor"]) == status
         assert "mend it" in capsys.readouterr().out
@@ -181,7 +181,7 @@ def test_doctor_exit_code_follows_failed_checks(capsys: pytest.CaptureFixture[st
 def test_ctrl_c_exits_with_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from sextant.deploy.doctor import machine_checks
 
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **_rest: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(machine_checks, "examine", interrupted)
@@ -236,7 +236,7 @@ def test_taken_port_of_the_page_is_named_before_anything_starts(capsys: pytest.C
 def test_internal_error_is_not_reported_as_usage_error(monkeypatch: pytest.MonkeyPatch) -> None:
     from sextant.deploy.doctor import machine_checks
 
-    def broken(*_: object) -> None:
+    def broken(*_: object, **_rest: object) -> None:
         raise ValueError("a bug")
 
     monkeypatch.setattr(machine_checks, "examine", broken)

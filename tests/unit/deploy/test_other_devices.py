@@ -1,12 +1,16 @@
 """`sextant servos` and `doctor` on ports where another device sends text, by itself or in answer to each request."""
 
+import numpy as np
 import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.doctor import servo_checks
 from sextant.deploy.doctor.check import Level
+from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.actuator.servo_bus.other_device import PingResponses, refuse_another_device
 from sextant.services.actuator.servo_bus.triage import Opener, examine, usual_rates
+from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
+from sextant.services.simulator.servo_bus.bridge_board import Board
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.models import AX_12A
@@ -66,6 +70,20 @@ def test_doctor_shows_the_text_of_another_device(answers: bool, monkeypatch: pyt
     assert check.level is Level.FAIL
     assert "another device sends '$GPGGA" in check.found
     assert check.advice == "give another port with --port"
+
+
+def test_bridge_with_a_session_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    profile = load_profile("phantomx_mk2")
+    line = Line(Board(BenchEmulator(profile, np.random.default_rng(1000))), monkeypatch)
+    monkeypatch.setattr(servo_checks, "time", line)
+    board = Bridge(line.open(line.URL, timeout_ns=READ_NS), list(profile.servo_names), line.monotonic_ns)
+    board.open_session()
+    board.close()
+    assert cli.main(["servos", "scan", "--port", line.URL]) == 1
+    assert "a microcontroller with the firmware of a bridge sends on the port" in capsys.readouterr().err
+    (check,) = servo_checks.servos(line.URL, profile)
+    assert "a microcontroller with the firmware of a bridge sends on the port" in check.found
+    assert check.advice == "add --bridge"
 
 
 def test_servos_that_all_share_ids_are_no_other_device() -> None:

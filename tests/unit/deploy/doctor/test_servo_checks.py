@@ -15,13 +15,18 @@ from sextant.deploy.doctor import servo_checks
 from sextant.deploy.doctor.check import Check, Level
 from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.services.simulator.servo_bus.bench_emulator import BenchEmulator
+from sextant.services.simulator.servo_bus.bridge_board import Board
+from sextant.services.simulator.servo_bus.host_link import HostLink
+from sextant.services.simulator.servo_bus.pulse_board import make_board
+from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
-from sextant.shared.robot.profile import LEGS, Calibration
+from sextant.shared.robot.profile import LEGS, Calibration, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.servo_model import ServoError
 from sextant.shared.wire.ports import free_port
-from tests.support.families import FAMILIES, robot_with
+from tests.support.families import FAMILIES, mixed_robot, robot_with
+from tests.support.port_in_memory import Line
 
 PROFILE = load_profile("phantomx_mk2")
 TODAY = date(2026, 7, 30)
@@ -101,6 +106,47 @@ def test_echoing_adapter_warns_and_servos_are_still_checked(name: str) -> None:
     assert (first.level, first.found) == (Level.WARN, "the adapter returns every byte that is sent")
     assert "--set actuator.echo=true" in first.advice
     assert second.found == "all 18 servos answer"
+
+
+def at_bridge(board: HostLink, profile: RobotProfile, monkeypatch: pytest.MonkeyPatch) -> list[Check]:
+    line = Line(board, monkeypatch)
+    monkeypatch.setattr(servo_checks, "time", line)
+    checks = list(servo_checks.at_bridge(line.URL, profile))
+    assert all(check.advice for check in checks if check.level is not Level.OK)
+    return checks
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_servos_behind_a_bridge_are_checked_as_on_a_bus(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    profile = robot_with(name)
+    emulated = BenchEmulator(profile, np.random.default_rng(1))
+    torque = emulated._servos.column(emulated._servos.table.torque_enable)
+    torque[:] = 1
+    emulated.unplug(emulated._with_id(9))
+    missing, voltage, *_ = at_bridge(Board(emulated, model=profile.servo_model), profile, monkeypatch)
+    assert (missing.level, voltage.level) == (Level.FAIL, Level.OK)
+    assert missing.found == "servo 9 (right middle tibia) does not answer"
+    assert torque.all(), "nothing is written"
+
+
+def test_hobby_servos_behind_a_bridge_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    profile = load_profile("printed_ds3218")
+    pulses = profile.servo.pulses
+    assert pulses is not None
+    bank = make_servo_bank(profile.servo, list(profile.servo_names), np.zeros(18))
+    board = Board(make_board(bank, pulses, on_uart=True), model=bank.model, pulses=pulses)
+    found, feedback = at_bridge(board, profile, monkeypatch)
+    assert (found.level, found.found) == (Level.OK, "the board answers; it sends pulses on 0 of 18 channels")
+    assert feedback.level is Level.WARN
+
+
+def test_missing_and_other_bridges_are_reported(bench: BenchEmulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    (silent,) = at_bridge(bench, PROFILE, monkeypatch)
+    assert "no bridge answers on the port" in silent.found
+    (other,) = at_bridge(Board(bench), load_profile("printed_sts3215"), monkeypatch)
+    assert "the bridge drives servos AX-12A, the profile has STS3215" in other.found
+    (several,) = at_bridge(Board(bench), mixed_robot("AX-12A", "MX-28", "AX-12A"), monkeypatch)
+    assert "one servo model and one bus behind a bridge expected" in several.found
 
 
 def test_low_voltage_high_temperature_and_overload_are_reported(bench: BenchEmulator) -> None:
