@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 PATIENCE_NS = 25_000_000  # [ns] to wait for an answer; longer than an adapter's default latency timer
 _LONGEST_BYTES = 110  # [bytes] of the longest answer that a scan reads, with its request
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] longer, because a machine that emulates servos may be busy
-_COMMAND = re.compile(r"`(sextant servos (?:scan|set-id|calibrate|test|off(?: --bridge)?))`")
+_COMMAND = re.compile(r"`(sextant servos (?:scan|set-id(?: --all-rates)?|calibrate|test|off(?: --bridge)?))`")
 _DEFAULTS = {"robot": "phantomx_mk2", "port": "/dev/ttyUSB0"}  # that no command has to name
 
 

@@ -50,6 +50,7 @@ _port = option(
 _echo = flag("--echo", "the adapter returns every sent byte, as some half-duplex adapters do")
 _bus_options = options_of(Bus, "bus", options.robot, _port, _echo)
 _leg = option("--leg", "only this leg, e.g. 'left front'; repeatable", "LEG", into="legs", multiple=True, type=Choice(_LEGS))
+_all_rates = flag("--all-rates", "ask at all baud rates of these servos, not only at the robot's own and those of factories")
 _yes = flag("--yes", "for scripts: ask no question, assume yes")
 
 
@@ -85,7 +86,7 @@ _of_one = options_of(
 @servos.command("scan")
 @_of_bus
 @option("--ids", "servo ids to scan, B not included (default: all)", "A:B", type=Parsed(options.servo_ids, "ids"))
-@flag("--all-rates", "ask at all baud rates of these servos, not only at the robot's own and those of factories")
+@_all_rates
 @options.as_json
 def scan(bus: Bus, ids: range | None, all_rates: bool, as_json: bool) -> int:
     """List the servos on the bus; report missing, duplicate, wrong or reset ones."""
@@ -219,7 +220,8 @@ def off(bus: Bus, bridge: bool) -> int:
 
 @servos.command("set-id")
 @_of_bus
-def set_id(bus: Bus) -> int:
+@_all_rates
+def set_id(bus: Bus, all_rates: bool) -> int:
     """Set each servo's id to that of its joint, one at a time.
 
     It can be interrupted and resumed.
@@ -233,7 +235,7 @@ def set_id(bus: Bus) -> int:
     for name, one_bus, servos_on_it in of_each_bus(bus, profile):
         if name:
             say(f"bus {name}, {one_bus.port}:")
-        with open_line(one_bus, servos_on_it) as line:
+        with open_line(one_bus, servos_on_it, all_rates) as line:
             foreign = partial(
                 triage.other_family, opener_of(one_bus, servos_on_it), servos_on_it.servo_model, servos_on_it.servo_names
             )

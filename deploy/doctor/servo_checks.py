@@ -147,8 +147,8 @@ def answering(name: str, seen: "dict[int, ServoScan]", profile: "RobotProfile", 
     right = [one for i, one in seen.items() if i not in wrong]
     yield from well(right, profile)
     if wrong_settings := hampered(right, profile):
-        words = "; ".join(problem.words for problem in wrong_settings)
-        yield Check("servo settings", Level.WARN, words, wrong_settings[0].advice)
+        words, advice = ("; ".join(dict.fromkeys(part)) for part in zip(*wrong_settings, strict=True))
+        yield Check("servo settings", Level.WARN, words, advice)
 
 
 def board(port: str, profile: "RobotProfile") -> Iterator[Check]:

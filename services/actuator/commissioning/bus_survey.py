@@ -3,7 +3,7 @@
 Nothing is moved, and no torque is turned on.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     BusResponse,
     Problem,
     ServoScan,
+    each_of,
     grouped,
     is_unassigned,
     named,
@@ -25,11 +26,16 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     wrong_settings,
 )
 from sextant.services.actuator.servo_bus.servo_health import health_problems
+from sextant.services.actuator.servo_bus.triage import usual_rates
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.servo.servo_model import ServoModel
 
 _NO_ANSWER_ADVICE = "check their power and the cable at the adapter; a bridge does not pass scans on, see docs/bridge.md"
 _UNLESS_MEANT = f"if this is not intended, {SET_ID} and type its leg and joint to restore safe values"
+_GAIN_ADVICE = (
+    "switch the servos' power off and on, which ends most changes; if it remains, set it with the tool of the maker, "
+    "or state it and its stiffness in the profile"
+)
 
 
 class Line:
@@ -140,8 +146,12 @@ def verdict(
         asked: Scanned ids, all by default: only these can be missing.
         each: Name each missing servo even if all are missing; otherwise that is one problem.
     """
-    names = {i: name for i, name in profile.servo_names.items() if asked is None or i in asked}
+    robot = {i: name for i, name in profile.servo_names.items() if asked is None or i in asked}
     heard = {seen.servo_id: seen for rate, seen in found if rate == seen.expected.bus_rate}
+    elsewhere = {seen.servo_id for rate, seen in found if rate != seen.expected.bus_rate} - heard.keys()
+    if not robot.keys() <= elsewhere:
+        elsewhere.discard(FACTORY_ID)  # it may be a new servo of any joint
+    names = {i: name for i, name in robot.items() if i not in elsewhere}
     wrong = problems(names, heard)
     for i in profile.servos_elsewhere.keys() & heard.keys():
         wrong[i] = on_wrong_bus(i, profile.servos_elsewhere)
@@ -149,19 +159,33 @@ def verdict(
     if not each and len(missing) == len(names) > 1:
         missing, unanswered = [], [Problem(f"none of {len(names)} servos answers", _NO_ANSWER_ADVICE)]
         wrong = {i: problem for i, problem in wrong.items() if i not in names}
-    for rate, seen in found:
-        usual = seen.expected.bus_rate
-        if rate != usual:
-            reset = f"; {reset_servos(missing, names)}" if seen.servo_id == FACTORY_ID and missing else ""
-            words = f"servo {seen.servo_id} answers at {rate} baud, {usual} expected{reset}"
-            wrong[-seen.servo_id - 1] = Problem(words, "`sextant servos set-id` sets its rate")
     well = {i: seen for i, seen in heard.items() if seen.response is BusResponse.CLEAR and i not in wrong}
     return [
         *unanswered,
         *dict.fromkeys(wrong.values()),
+        *_at_other_rates(found, missing, robot),
         *health_problems(well, profile.battery.warn_voltage, names),
         *hampered((seen for i, seen in heard.items() if i in names), profile),
     ]
+
+
+def _at_other_rates(found: Sequence[Found], missing: Collection[int], names: Mapping[int, str]) -> list[Problem]:
+    """Return the problems of servos that answer at another rate than the robot's, one for many of them."""
+    alike: dict[tuple[int, ServoModel], list[int]] = {}
+    for rate, seen in found:
+        if rate != seen.expected.bus_rate:
+            alike.setdefault((rate, seen.expected), []).append(seen.servo_id)
+    wrong = []
+    for (rate, model), ids in alike.items():
+        rates = f"at {rate} baud, {model.bus_rate} expected"
+        option = "" if rate in usual_rates(model) else " --all-rates"
+        advice = f"`sextant servos set-id{option}` sets the rate"
+        many = each_of(ids, names)
+        words = [f"{many} answers {rates}"] if many else [f"servo {i} answers {rates}" for i in ids]
+        if FACTORY_ID in ids and missing:
+            words[0] += f"; {reset_servos(missing, names)}"
+        wrong += [Problem(one, advice) for one in words]
+    return wrong
 
 
 def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
@@ -169,20 +193,21 @@ def hampered(seen: Iterable[ServoScan], profile: RobotProfile) -> list[Problem]:
 
     This is advice: the actuator works with them.
     """
-    found: dict[int, Problem] = {}
+    limited, gains = dict[int, Problem](), dict[int, Problem]()
     limits, servos = position_limits(profile), dict(zip(profile.servo_ids.ravel().tolist(), profile.servos.each, strict=True))
     for one in seen:
         model = one.expected
         if one.response is BusResponse.CLEAR and one.number == model.number and not one.is_wheel:
             told = [setting.words for setting in wrong_settings(one, model, limits[one.servo_id])]
-            told += [
+            gain = [
                 f"has a {register.name} of {one[register]}, {value} in the profile"
                 for register, value in servos[one.servo_id].controller_settings.items()
                 if one[register] != value
             ]
-            words = "; ".join(dict.fromkeys(told))
-            found |= {one.servo_id: Problem(words, _UNLESS_MEANT)} if words else {}
-    return list(dict.fromkeys(grouped(found, profile.servo_names).values()))
+            for each, words, advice in ((limited, told, _UNLESS_MEANT), (gains, gain, _GAIN_ADVICE)):
+                each |= {one.servo_id: Problem("; ".join(dict.fromkeys(words)), advice)} if words else {}
+    names = profile.servo_names
+    return list(dict.fromkeys((*grouped(limited, names).values(), *grouped(gains, names).values())))
 
 
 def position_limits(profile: RobotProfile) -> dict[int, tuple[int, int]]:

@@ -19,6 +19,7 @@ from sextant.services.actuator.servo_bus.bus_scan import (
     wake,
     wrong_settings,
 )
+from sextant.services.actuator.servo_bus.triage import all_rates
 from sextant.shared.errors import SextantError
 from sextant.shared.robot.profile import RobotProfile
 
@@ -224,7 +225,9 @@ def _new_one(
         ids = ", ".join(str(one.seen.servo_id) for one in new)
         operator.say(f"one new servo expected, found {len(new)} (ids {ids}); leave one of them plugged in")
     else:
-        operator.say("no new servo answers; check its cable and power (its LED blinks once at power-on)")
+        model = profile.servo_model
+        rates = "; --all-rates asks at all rates" if len(line.rates) > 1 and set(all_rates(model)) - set(line.rates) else ""
+        operator.say(f"no new servo answers; check its cable and power (its LED blinks once at power-on){rates}")
     return None
 
 

@@ -432,6 +432,8 @@ def test_messages_name_whole_commands(
     assert cli.main(["doctor", "--port", url, "--robot", str(own)]) == 1
     assert whole in capsys.readouterr().out
     assert Bus("phantomx_mk2", "/dev/ttyUSB0").completed("`sextant servos off`") == "`sextant servos off`"
+    with_rates = "`sextant servos set-id --all-rates{}`"
+    assert Bus("phantomx_mk2", "/dev/ttyUSB1").completed(with_rates.format("")) == with_rates.format(" --port /dev/ttyUSB1")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from sextant.services.actuator.commissioning.bus_survey import Line
 from sextant.services.actuator.commissioning.set_ids import OtherServosError
 from sextant.services.actuator.servo_bus.bus_driver import BAUD_RATE, ServoBus
 from sextant.services.actuator.servo_bus.command_bus import bus_of
-from sextant.services.actuator.servo_bus.triage import Opener, other_family, usual_rates
+from sextant.services.actuator.servo_bus.triage import Opener, all_rates, other_family, usual_rates
 from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
@@ -29,12 +29,12 @@ RX = load_profile("lotriet_rx64")
 SET = (dxl.RETURN_DELAY, 0), (dxl.STATUS_RETURN_LEVEL, 2), (dxl.BAUD_RATE, 1)
 
 
-def line(desk: Desk) -> Line:
+def line(desk: Desk, rates_of: Callable[[ServoModel], tuple[int, ...]] = usual_rates) -> Line:
     def at(rate: int) -> ServoBus:
         names = desk.profile.servo_names
         return ServoBus(desk.open(rate), list(names), desk.clock, names=names, model=desk.profile.servo_model)
 
-    return Line(at, usual_rates(desk.profile.servo_model))
+    return Line(at, rates_of(desk.profile.servo_model))
 
 
 def plug(desk: Desk, count: int = 1, answer: str = "") -> Callable[[], str]:
@@ -118,6 +118,22 @@ def test_reset_rx_64_is_found_at_factory_baud_rate() -> None:
     assert f"servo {lost} (right rear femur) does not answer, but the servo behind it does" in words
     reset = f"servo 1 answers at 57143 baud, 1000000 expected; a reset sets id 1: this may be servo {lost} (right rear femur)"
     assert reset in words
+
+
+@pytest.mark.parametrize(("code", "rate", "command"), [(34, 57_143, "set-id"), (9, 200_000, "set-id --all-rates")])
+def test_servos_at_another_rate_are_one_problem(code: int, rate: int, command: str) -> None:
+    desk, at = Desk(), f"at {rate} baud, 1000000 expected"
+    for row in range(18):
+        desk.bench._servos.write(row, dxl.BAUD_RATE.address, bytes([code]))
+    for each in (True, False):
+        found = bus_survey.scan(line(desk, all_rates), PHANTOMX.servo_names)
+        (problem,) = bus_survey.verdict(found, PHANTOMX, each=each)
+        assert problem == (f"each of the 18 servos answers {at}", f"`sextant servos {command}` sets the rate")
+
+    for servo_id in PHANTOMX.servo_names.keys() - {4, 6}:
+        desk.change(servo_id, dxl.BAUD_RATE, 1)
+    found = bus_survey.scan(line(desk, all_rates), PHANTOMX.servo_names)
+    assert [one.words for one in bus_survey.verdict(found, PHANTOMX)] == [f"servo {i} answers {at}" for i in (4, 6)]
 
 
 # -------------------------------------------------------------------------------------------------------------- set-id
@@ -379,6 +395,24 @@ def test_intermittent_servo_is_unchanged_and_retry_is_advised(level: int, monkey
     set_ids.set_ids(line(desk), PHANTOMX, builder := Builder([plug(desk), "q"]))
     assert ": it is unchanged; try again" in builder.all_told
     assert "plug in another" not in builder.all_told
+
+
+def test_servo_at_any_rate_is_set_with_all_rates() -> None:
+    desk = Desk(fresh=True)
+
+    def plug_slow_one() -> str:
+        plug(desk)()
+        desk.change(1, dxl.BAUD_RATE, 9)
+        return ""
+
+    builder = Builder([plug_slow_one, "q"])
+    assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert "no new servo answers" in builder.all_told
+    assert "--all-rates asks at all rates" in builder.all_told
+    builder = Builder(["", "q"])
+    set_ids.set_ids(line(desk, all_rates), PHANTOMX, builder)
+    assert "is set and verified" in builder.all_told
+    assert bus_survey.scan(line(desk), PHANTOMX.servo_names)[0].rate == BAUD_RATE
 
 
 # ---------------------------------------------------------------------------------------------------------- protection
