@@ -13,7 +13,6 @@ from sextant.shared.servo.models import MODEL_NAMED
 from sextant.shared.servo.servo_model import Register, ServoModel
 
 _FULL_CELL_V, _WARN_CELL_V, _EMPTY_CELL_V = 4.2, 3.5, 3.3  # [V] of a lithium polymer cell, open circuit
-COMPLIANCE_SLOPE = 32  # the factory's
 WARM_K = 12.0  # [K] below the temperature limit of the servos, from where the robot walks slower
 
 
@@ -63,7 +62,7 @@ def _wrong_controller(
                 yield config.Misfit(name, f"no {name.replace('_', ' ')} for {model} servos, which have none,", str(value))
         return
     if not values[needed]:
-        factory = COMPLIANCE_SLOPE if has_slope else found.default(cast(Register, table.position_gain))
+        factory = found.default(table.compliance[-1] if has_slope else cast(Register, table.position_gain))
         yield config.Misfit(needed, f"a {needed_words} for {model} servos ({factory} from the factory)", "none")
     if values[other]:
         expected = f"no {other_words} for {model} servos, which have a {needed_words},"

@@ -8,7 +8,7 @@ from typing import Any, cast, get_args
 
 from sextant.shared.files import config
 from sextant.shared.robot.profiles import load_profile, profile_names
-from sextant.shared.robot.servo import COMPLIANCE_SLOPE, Battery, Servo, known_model
+from sextant.shared.robot.servo import Battery, Servo, known_model
 from sextant.shared.servo import pwm
 from sextant.shared.servo.custom_model import ModelNumbers
 from sextant.shared.servo.dynamixel import full_torque_ticks
@@ -102,7 +102,8 @@ def proposed_servo(name: str, stall_torque: float | None = None, volts: float | 
 
 def _proposal(model: ServoModel, torque: float, speed: float) -> dict[str, Any]:
     """Return what a profile says of a servo with a stall torque [N m] and a no-load speed [rad/s], without its model."""
-    gain, slope = model.table.position_gain, COMPLIANCE_SLOPE if model.table.compliance else 0
+    table = model.table
+    gain, slope = table.position_gain, model.default(table.compliance[-1]) if table.compliance else 0
     armature, friction = _IDENTIFIED.get(model.name, (_ARMATURE_PER_NM * torque, _FRICTION_PER_NM * torque))
     p_gain = 0 if gain is None else model.default(gain)
     if gain is not None:
@@ -119,7 +120,7 @@ def _proposal(model: ServoModel, torque: float, speed: float) -> dict[str, Any]:
         "friction": round(friction, _DIGITS),
         "compliance_slope": slope,
         "position_gain": p_gain,
-        "temperature_limit": float(model.default(model.table.temperature_limit)),
+        "temperature_limit": float(model.default(table.temperature_limit)),
     }
 
 

@@ -21,6 +21,7 @@ def test_proposed_servo_has_the_data_of_its_model(name: str) -> None:
     assert servo.model == name
     assert servo.stiffness == pytest.approx(servo.nominal_stiffness, rel=1e-3)
     assert servo.no_load_speed <= 1.001 * model.no_load_speed
+    assert servo.controller_settings == {register: model.default(register) for register in servo.controller_settings}
     assert servo.temperature_limit == model.default(model.table.temperature_limit)
     doubled = proposed_servo(name, 2.0 * servo.stall_torque)
     assert doubled.stiffness == pytest.approx(2.0 * servo.stiffness, rel=1e-3)
