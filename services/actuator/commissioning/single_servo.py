@@ -24,7 +24,7 @@ from sextant.services.actuator.servo_bus.bus_scan import named, problems, scan_s
 from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
 from sextant.services.actuator.servo_bus.servo_health import error_of
-from sextant.services.actuator.servo_bus.triage import Opener, usual_rates
+from sextant.services.actuator.servo_bus.triage import HOBBY_ROBOT, Opener, is_maestro, usual_rates
 from sextant.shared.errors import SextantError
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
@@ -75,6 +75,8 @@ def identify(opener: Opener, servo_id: int, model: ServoModel | None = None) -> 
                 bus.close()
     with closing(opener.open(first.bus_rate, first)) as bus:
         refuse_another_device(bus)
+        if is_maestro(bus):
+            raise NotReadyError(f"a Pololu Maestro answers on {opener.name}; {HOBBY_ROBOT}")
     asked = " or ".join(dict.fromkeys(one.protocol.NAME for one in (MODELS if model is None else (model,))))
     raise NotReadyError(
         f"no servo with id {servo_id} answers on {opener.name} ({asked}); check its power and cable; "

@@ -89,3 +89,8 @@ def test_one_channel_is_sent_to_its_middle_and_has_no_pulses_afterwards(
     assert told.endswith("its pulses have ended\n")
     assert cli.main(["servos", "scan", "--port", url, *ROBOT]) == 0  # time goes on: the written data arrive
     assert bench.execute("list") == "0 of 18 servos have pulses: none"
+
+
+def test_maestro_is_named_where_a_servo_is_searched(url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["servos", "find", "4", "--yes", "--port", url]) == 1
+    assert f"a Pololu Maestro answers on {url}; give --robot your_robot.toml" in capsys.readouterr().err
