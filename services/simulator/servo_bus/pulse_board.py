@@ -20,6 +20,7 @@ _USB_NS = 1_000_000  # [ns] of a USB transaction
 _BITS_PER_BYTE = 10
 _BOARD = 255  # sender of the answers, for faults; no channel has this number
 _I2C_BIT_NS = 2_500  # [ns] of a bit at 400 kbit/s; each byte has an acknowledgement, too
+_STALE_NS = 100_000_000  # [ns] pause that no transfer has
 
 
 @dataclass(slots=True)
@@ -157,7 +158,7 @@ class Pca9685Emulator(PulseBoardEmulator):
         """Connect a bank of servos; the boards are awake if any of them has pulses."""
         super().__init__(bank, pulses)
         first, hertz = pulses.device or pca9685.ADDRESS, pulses.oscillator_mhz * 1e6
-        self._parser = pca9685.FrameParser()
+        self._parser, self._heard_ns = pca9685.FrameParser(), 0
         self._chips = {first + number: Pca9685Chip(hertz) for number in range(2)}
         for number, chip in enumerate(self._chips.values()):
             widths = [self._start.get(number * pca9685.CHANNELS + channel, 0.0) for channel in range(pca9685.CHANNELS)]
@@ -173,6 +174,9 @@ class Pca9685Emulator(PulseBoardEmulator):
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
         """Process encoded transfers that the host sends at a time [ns], and return the answers."""
         self.overhear(data, now_ns)
+        if now_ns > self._heard_ns + _STALE_NS:  # bytes before a pause are no part of a transfer
+            self._parser = pca9685.FrameParser()
+        self._heard_ns = now_ns
         replies = []
         for transfer in self._parser.feed(data):
             chip = self._chips.get(transfer.address)

@@ -1,5 +1,7 @@
 """Emulated boards for hobby servos, at the bytes of their manuals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,11 +9,12 @@ from hypothesis import strategies as st
 
 from sextant.services.simulator.servo_bus.bus_faults import BusFaults
 from sextant.services.simulator.servo_bus.pca9685_chip import Pca9685Chip
-from sextant.services.simulator.servo_bus.pulse_board import MaestroEmulator
+from sextant.services.simulator.servo_bus.pulse_board import MaestroEmulator, make_board
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo import pca9685
 from sextant.shared.servo.bus_fault import BusFault
+from sextant.shared.servo.pca9685 import Transfer
 from sextant.shared.servo.pwm import TABLE
 
 PROFILE = load_profile("printed_ds3218")
@@ -94,6 +97,15 @@ def test_pca9685_begins_asleep_with_all_channels_off() -> None:
     assert chip.transfer(b"\xfe", 1) == b"\x1e"
     assert chip.transfer(b"\x09", 1) == b"\x10"
     assert chip.widths_us() == [0.0] * 16
+
+
+def test_boards_of_pca9685_answer_after_bytes_of_another_bus() -> None:
+    assert PROFILE.servo.pulses is not None
+    pulses = replace(PROFILE.servo.pulses, board="pca9685")
+    board, request = make_board(make_servo_bank(PROFILE.servo, (0, 1, 2), np.zeros(3)), pulses), Transfer(0x40, b"\xfe", 1)
+    assert board.receive(b"\xff\xff\x01\x02\x01\xfb", 0) == []
+    (reply,) = board.receive(pca9685.frame(request), 1_000_000_000)
+    assert reply.data == b"\x01\x1e"
 
 
 def test_pca9685_takes_its_rate_only_asleep() -> None:
