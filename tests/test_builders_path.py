@@ -138,6 +138,7 @@ def build(workshop: Workshop, servo: str) -> None:
 
     checks = {check["name"]: check for check in json.loads(workshop.run("doctor", *mine_at, "--json"))}
     assert re.match("all 18 servos answer|the board answers", checks[f"servo port {PORT[1]}"]["found"])
+    assert "servo settings" not in checks, checks["servo settings"]
     assert checks["calibration"]["found"] == "0 days old"
     assert checks["control cycle"]["found"].startswith("takes")
 

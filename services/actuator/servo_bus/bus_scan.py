@@ -398,9 +398,12 @@ def wrong_settings(seen: ServoScan, model: ServoModel, reach: tuple[int, int]) -
     guarded = seen[table.shutdown] | model.hardware_error_code(_PROTECTION)
     narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
     bare = f"does not shut down for {error_words(unguarded)}"
+    lowest, highest = model.default(table.low_limit), model.default(table.high_limit)
+    lowest = lowest if lowest <= reach[0] else 0  # the whole range, because calibration moves what a joint needs
+    highest = highest if highest >= reach[1] else model.units.max_position
     settings = (
-        (low > reach[0], Setting(table.low_limit, min(model.default(table.low_limit), reach[0]), narrow)),
-        (high < reach[1], Setting(table.high_limit, max(model.default(table.high_limit), reach[1]), narrow)),
+        (low > reach[0], Setting(table.low_limit, lowest, narrow)),
+        (high < reach[1], Setting(table.high_limit, highest, narrow)),
         (hot != usual, Setting(table.temperature_limit, usual, f"shuts down at {hot} deg C, {usual} expected")),
         (
             torque < most,

@@ -20,7 +20,7 @@ from sextant.services.simulator.servo_bus.servo_bank import ServoVariation
 from sextant.services.simulator.servo_bus.servo_banks import make_robot_servos
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import JOINTS, LEGS, Calibration, RobotProfile
-from sextant.shared.servo.servo_model import Access
+from sextant.shared.servo.servo_model import Access, Register
 
 HORNS_DEG = 6.0  # [deg] maximum mounting error of the servo horns
 _MAX_BEND_DEG = 150.0  # [deg] maximum angle of a bent joint, the measuring range of a servo
@@ -62,9 +62,10 @@ class BenchEmulator(ServoBusEmulator):
         exact = ServoVariation(np.ones(n), np.ones(n), np.zeros(n))
         self._servos = make_robot_servos(profile, q, Supply().capacity_ah, 1.0, exact).on_bus[bus]
         self._damping = profile.servos.damping.ravel()[rows]
-        for row, model in enumerate(map(self._servos.model_of, range(len(rows)))):
+        for row, (joint, model) in enumerate(zip(rows, map(self._servos.model_of, range(len(rows))), strict=True)):
             table = model.table
-            set_up = {**model.joint_settings, table.baud_rate: model.rate_code(model.bus_rate)}
+            set_up = {**model.joint_settings, **profile.servos.each[joint].controller_settings, **_limits(profile, joint)}
+            set_up[table.baud_rate] = model.rate_code(model.bus_rate)
             for register, value in ({table.id: table.id.default} if fresh else set_up).items():
                 self._servos.write(row, register.address, register.encode(value))
         self._plugged = set() if fresh else set(range(len(rows)))
@@ -163,6 +164,15 @@ class BenchEmulator(ServoBusEmulator):
             self._torque = np.clip(spring_torque, -command.torque_limit, command.torque_limit)
             self._qd = self._torque / self._damping
             self._q = self._q + self._qd * (_STEP_NS * 1e-9)
+
+
+def _limits(profile: RobotProfile, joint: int) -> dict[Register, int]:
+    """Return the position limits that `sextant servos set-id` widens for a joint, by register."""
+    model = profile.servos.models[joint]
+    table, units = model.table, model.units
+    low, high = sorted(units.ticks(profile.servo_angles(profile.joint_limits[..., end]).ravel()[joint]) for end in (0, 1))
+    whole = {table.low_limit: 0} if low < model.default(table.low_limit) else {}
+    return whole | ({table.high_limit: units.max_position} if high > model.default(table.high_limit) else {})
 
 
 def make_bench(

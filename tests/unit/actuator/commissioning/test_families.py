@@ -14,7 +14,9 @@ from sextant.services.actuator.commissioning.torque_off import torque_off
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.command_bus import bus_of
 from sextant.services.actuator.servo_bus.triage import usual_rates
+from sextant.shared.robot.new_profile import Measures, new_profile
 from sextant.shared.robot.profile import LEGS, Calibration
+from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import Register
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
@@ -107,6 +109,13 @@ def test_gain_that_differs_from_the_profile_is_named() -> None:
     bank.column(bank.table.position_gain)[4] = 400
     (problem,) = bus_survey.verdict(bus_survey.scan(line(desk)), desk.profile)
     assert "has a position p gain of 400, 640 in the profile" in problem.words
+    assert "set-id" not in problem.advice, "it does not write gains"
+
+
+@pytest.mark.parametrize("name", [model.name for model in MODELS])
+def test_servos_that_are_set_up_are_in_order_with_a_profile_from_measures(name: str) -> None:
+    desk = Desk(new_profile("robot", Measures(0.03, 0.045, 0.075, 0.07, 0.035, 0.06, 0.75, name)))
+    assert bus_survey.verdict(bus_survey.scan(line(desk), desk.profile.servo_names), desk.profile) == []
 
 
 @pytest.mark.parametrize("name", OTHERS)
