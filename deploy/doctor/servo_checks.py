@@ -260,7 +260,7 @@ def _called(port: "Port", profile: "RobotProfile") -> "tuple[dict[int, ServoScan
 def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
     """Check voltage, temperature and error registers of working servos."""
     from sextant.services.actuator.servo_bus.bus_scan import Problem, grouped, named
-    from sextant.services.actuator.servo_bus.servo_health import WARM, error_of, span
+    from sextant.services.actuator.servo_bus.servo_health import WARM, error_of, remedy_of, span
 
     if not seen:
         return
@@ -272,10 +272,10 @@ def well(seen: "list[ServoScan]", profile: "RobotProfile") -> Iterator[Check]:
     words = ", ".join(named(one.servo_id, names) for one in warm)
     found = f"{span(degrees, 0)} deg C" + (f"; near their limit: {words}" if warm else "")
     yield Check("servo temperature", Level.WARN if warm else Level.OK, found, "let the servos cool down" if warm else "")
-    errors = {one.servo_id: Problem(f"reports {words}", "") for one in seen if (words := error_of(one))}
+    errors = {one.servo_id: Problem(f"reports {words}", remedy_of(one)) for one in seen if (words := error_of(one))}
     if errors:
-        each = dict.fromkeys(problem.words for problem in grouped(errors, names).values())
-        yield Check("servo errors", Level.FAIL, "; ".join(each), "switch their power off and on again")
+        told, advice = ("; ".join(dict.fromkeys(part)) for part in zip(*grouped(errors, names).values(), strict=True))
+        yield Check("servo errors", Level.FAIL, told, advice)
 
 
 def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:

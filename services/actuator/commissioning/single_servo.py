@@ -23,7 +23,7 @@ from sextant.services.actuator.servo_bus.bus_driver import ServoBus
 from sextant.services.actuator.servo_bus.bus_scan import named, problems, scan_servo
 from sextant.services.actuator.servo_bus.model_identification import models_alike, told_model
 from sextant.services.actuator.servo_bus.other_device import refuse_another_device
-from sextant.services.actuator.servo_bus.servo_health import error_of
+from sextant.services.actuator.servo_bus.servo_health import error_of, remedy_of
 from sextant.services.actuator.servo_bus.triage import HOBBY_ROBOT, Opener, is_maestro, usual_rates
 from sextant.shared.errors import SextantError
 from sextant.shared.servo.models import MODELS
@@ -170,7 +170,7 @@ def _start(bus: ServoBus, servo_id: int) -> int:
     if servo_id in wrong:
         raise NotReadyError(": ".join(wrong[servo_id]))
     if errors := error_of(seen):
-        raise NotReadyError(f"{named(servo_id, bus.names)} reports {errors}: switch its power off and on again")
+        raise NotReadyError(f"{named(servo_id, bus.names)} reports {errors}: {remedy_of(seen)}")
     if seen[bus.model.table.torque_enable]:
         raise NotReadyError(
             f"the torque of {named(servo_id, bus.names)} is on: `sextant servos off` turns it off, then try again"

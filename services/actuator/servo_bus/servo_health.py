@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from sextant.services.actuator.servo_bus.bus_scan import Problem, ServoScan, each_of, named
-from sextant.shared.servo.servo_model import error_words
+from sextant.shared.servo.servo_model import ServoError, error_words
 
 WARM = 10.0  # [deg C] below its limit from which a servo is too warm to start
 _ADVICE = "correct this before anything moves"
@@ -57,7 +57,7 @@ def _abnormal(seen: ServoScan, low: float) -> dict[_Kind, float]:
     """Return what is abnormal of a servo, with the measured value."""
     limit, found = seen[seen.expected.table.temperature_limit], dict[_Kind, float]()
     if error := error_of(seen):
-        found[_Kind(f"reports {error}; switch its power off and on again", 0)] = 0.0
+        found[_Kind(f"reports {error}; {remedy_of(seen)}", 0)] = 0.0
     if seen.voltage < low:
         found[_Kind(f"has {{}} V, at least {low:.1f} V expected: charge the battery", 1)] = seen.voltage
     if seen.temperature > limit - WARM:
@@ -71,3 +71,11 @@ def error_of(seen: ServoScan) -> str:
     weak = seen[table.torque_limit] < seen[table.max_torque]
     left = f"a torque limit of {share * seen[table.torque_limit]:.0f} %" if weak else ""
     return ", ".join(filter(None, (error_words(seen.error), left)))
+
+
+def remedy_of(seen: ServoScan) -> str:
+    """Return what ends the errors of a servo."""
+    table, volt = seen.expected.table, seen.expected.units.volt
+    if seen.error != ServoError.INPUT_VOLTAGE or seen[table.torque_limit] < seen[table.max_torque]:
+        return "switch its power off and on again"
+    return f"supply it with {volt * seen[table.min_voltage]:.1f} to {volt * seen[table.max_voltage]:.1f} V, its limits"

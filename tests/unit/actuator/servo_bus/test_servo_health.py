@@ -54,6 +54,13 @@ def test_error_of_all_servos_is_one_problem() -> None:
     assert builder.all_told.count("overload") == 1
 
 
+def test_voltage_outside_the_limits_of_servos_is_named_with_these() -> None:
+    desk = Desk()
+    desk.bench._servos.column(dxl.MAX_VOLTAGE)[:] = 120
+    (words,) = words_of(desk)
+    assert words == "each of the 18 servos reports input voltage outside its limits; supply it with 6.0 to 12.0 V, its limits"
+
+
 @pytest.mark.parametrize(("n", "count"), [(1, 1), (3, 3), (4, 1), (17, 1), (18, 1)])
 def test_limits_of_more_than_three_servos_are_one_problem(n: int, count: int) -> None:
     desk = Desk()
