@@ -1,5 +1,6 @@
 """`sextant camera`: calibrate the camera and the legs of a robot."""
 
+import shlex
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,5 +76,5 @@ def _finish(found: "CalibratedRobot", profile: "RobotProfile", path: Path, base:
         complain(f"not written: {'; '.join(found.refusals)}")
         return FAILED
     found.write(path, base, date.today())
-    say(f"{path}: written; restart the robot's services with --robot {path}")
+    say(f"{path}: written; restart the robot's services with --robot {shlex.quote(str(path))}")
     return SUCCESS

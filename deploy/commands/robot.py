@@ -1,5 +1,6 @@
 """`sextant robot`: new robot profiles, their check, and profiles from and for other tools."""
 
+import shlex
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -115,7 +116,7 @@ def import_(file: str, out: str, joints: str | None, foot: tuple[float, ...] | N
         say(f"  {leg:12}  {', '.join(chain)}")
     for note in found.notes:
         say(f"- {note}")
-    say(f"`sextant robot check {out}` states what the robot can do")
+    say(f"`sextant robot check {shlex.quote(out)}` states what the robot can do")
     return SUCCESS
 
 
@@ -204,7 +205,7 @@ def new(out: str, measured: _Measured, servo: str | None, volts: float | None) -
     if word in BOARDS:
         say("The numbers in [servo] are those of a DS3218: correct them for other servos, see docs/hobby_servos.md")
     say(horns)
-    say(f"Next: `sextant robot check {out}` prints the whole check, and docs/commissioning.md goes on")
+    say(f"Next: `sextant robot check {shlex.quote(out)}` prints the whole check, and docs/commissioning.md goes on")
     return SUCCESS if found.passes else FAILED
 
 

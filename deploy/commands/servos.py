@@ -1,6 +1,7 @@
 """`sextant servos`: scan, configure, calibrate and test servos, real or emulated."""
 
 import json
+import shlex
 import sys
 import threading
 import time
@@ -318,9 +319,10 @@ def test(bus: Bus, legs: tuple[str, ...], yes: bool, torque: str | None) -> int:
     if moved is None:
         return FAILED
     wrong = [f"{one.name}: {one.problem}" for one in moved if one.problem]
-    command = f"camera calibrate --robot {bus.robot}"
+    named = shlex.quote(bus.robot)
+    command = f"camera calibrate --robot {named}"
     if profile.camera.device == "none":
-        command = f"up onboard --robot {bus.robot} --set actuator.port={bus.port}"
+        command = f"up onboard --robot {named} --set actuator.port={shlex.quote(bus.port)}"
     after = "" if legs else f"; next, on a flat floor: `sextant {command}`"
     after = f"; {UNWATCHED}" if yes else after
     after = "; not:\n  " + "\n  ".join(wrong) if wrong else after
@@ -357,7 +359,7 @@ def emulate(robot: str, fresh: bool, seed: int, listen: int, bus: str | None) ->
     except OSError as error:
         raise InputError(f"cannot listen on port {listen}: {error}; give another with --listen") from None
     with server:
-        of_robot = "" if robot == "phantomx_mk2" else f" --robot {robot}"
+        of_robot = "" if robot == "phantomx_mk2" else f" --robot {shlex.quote(robot)}"
         command = f"sextant servos {'set-id' if fresh else 'scan'} --port {f'{bus}=' if bus else ''}{server.url}{of_robot}"
         say(f"servos on {server.url}; in another terminal: {command}")
         say(f"{bench.execute('list')}; type {bench.commands}")

@@ -126,11 +126,13 @@ def test_invalid_import_is_reported_in_one_sentence(
 def test_import_takes_hobby_servos_and_prints_how_to_mount_their_horns(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    exported, imported = tmp_path / "robot.urdf", tmp_path / "robot.toml"
+    exported, imported = tmp_path / "robot.urdf", tmp_path / "my robot.toml"
     exported.write_text(urdf(load_profile("phantomx_mk2")), encoding="utf-8")
     assert cli.main(["robot", "import", str(exported), "--servo", "pca9685", "--out", str(imported)]) == 0
     words = "screw the horns on with each servo at its centre and its joint at: coxa 0, femur 0, tibia -70 deg (bent down)"
-    assert words in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert words in printed
+    assert f"`sextant robot check '{imported}'`" in printed
     assert words in imported.read_text(encoding="utf-8")
     assert load_profile(str(imported)).servo_names[17] == "left middle tibia"
 

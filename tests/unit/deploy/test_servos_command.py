@@ -195,15 +195,26 @@ def test_complete_joint_test_names_the_next_step(
 ) -> None:
     good = SimpleNamespace(name="", problem="")
     monkeypatch.setattr(joint_test, "run_joint_test", lambda *_, **__: [good] * 18)
-    blind = tmp_path / "blind.toml"
+    blind = tmp_path / "no camera.toml"
     blind.write_text('extends = "phantomx_mk2"\n[camera]\ndevice = "none"\n', encoding="utf-8")
     for robot, command in (
         ("phantomx_mk2", "camera calibrate --robot phantomx_mk2"),
-        (f"{blind}", f"up onboard --robot {blind} --set actuator.port={url}"),
+        (f"{blind}", f"up onboard --robot '{blind}' --set actuator.port={url}"),
     ):
         assert cli.main(["servos", "test", "--port", url, "--robot", robot]) == 0
         last = capsys.readouterr().out.splitlines()[-1]
         assert last == f"18 of 18 joints are in order; next, on a flat floor: `sextant {command}`"
+
+
+def test_emulator_names_a_command_that_the_shell_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = tmp_path / "my robot.toml"
+    own.write_text('extends = "phantomx_mk2"\n', encoding="utf-8")
+    monkeypatch.setattr("sys.stdin", io.StringIO("quit\n"))
+    assert cli.main(["servos", "emulate", "--robot", str(own)]) == 0
+    command = capsys.readouterr().out.splitlines()[0].partition("in another terminal: ")[2]
+    assert shlex.split(command)[-2:] == ["--robot", str(own)]
 
 
 @pytest.mark.slow
