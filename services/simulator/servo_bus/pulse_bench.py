@@ -7,6 +7,8 @@ from sextant.services.simulator.servo_bus.pulse_board import make_board
 from sextant.services.simulator.servo_bus.servo_bank import make_servo_bank
 from sextant.shared.robot.profile import RobotProfile
 
+_ALL_NS = 1 << 62  # [ns] by which the board has sent all pulses
+
 
 class PulseBench(AnswersOnly):
     """Board at a port, whose channels have no pulses at first."""
@@ -34,6 +36,7 @@ class PulseBench(AnswersOnly):
         """Execute a command that the operator typed, and return the state as text; raises ValueError for an unknown one."""
         if line.split() != ["list"]:
             raise ValueError(f"one of {self.commands} expected, found {line.strip()!r}")
+        self._board.advance(_ALL_NS)  # no host asks meanwhile, and pulses begin within a period
         table = self._servos.table
         torque = self._servos.column(table.torque_enable).tolist()
         with_pulses = [joint for joint, on in zip(self._profile.servo_names.values(), torque, strict=True) if on]

@@ -8,6 +8,8 @@ import pytest
 from sextant.deploy import cli
 from sextant.deploy.doctor import servo_checks
 from sextant.deploy.doctor.check import Level
+from sextant.services.actuator.servo_bus.pwm_servos import PwmServos
+from sextant.services.simulator.servo_bus.memory_port import MemoryPort
 from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
 from sextant.services.simulator.servo_bus.tcp_port import TcpBusServer
 from sextant.shared.robot.profiles import load_profile
@@ -35,6 +37,16 @@ def test_scan_lists_channels_and_says_that_nothing_is_measured(url: str, capsys:
     assert cli.main(["servos", "scan", "--port", url, *ROBOT, "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert [row["number"] for row in table["channels"]] == list(range(18))
+
+
+def test_bench_lists_the_pulses_that_the_board_was_sent_last(bench: PulseBench) -> None:
+    port = MemoryPort(bench, lambda: 0)
+    assert PROFILE.servo.pulses is not None
+    servos = PwmServos(port, list(PROFILE.servo_names), port.now_ns, PROFILE.servo.pulses)
+    servos.setup()
+    for on, listed in ((1, "1 of 18 servos have pulses: right middle coxa"), (0, "0 of 18 servos have pulses: none")):
+        servos.write(6, servos.model.table.torque_enable, on)
+        assert bench.execute("list") == listed
 
 
 def test_off_is_confirmed(url: str, bench: PulseBench, capsys: pytest.CaptureFixture[str]) -> None:
