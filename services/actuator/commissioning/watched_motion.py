@@ -32,7 +32,8 @@ def seen_problem(operator: Operator, profile: RobotProfile, leg: int, joint: int
             "exchange the plugs"
             if hobby
             else "exchange the servo_ids of the two joints in the profile, or `sextant servos set-id`"
-        ),
+        )
+        + ", then calibrate the legs of both again",
         "n": "did not move",
         "r": AGAIN,
     }

@@ -183,6 +183,7 @@ def test_wrong_sign_and_exchanged_ids_are_found_by_who_watches() -> None:
     assert list(problems) == ["left front femur", "right middle coxa", "left middle coxa"]
     assert "change the sign of the femur in the leg's servo_signs" in problems["left front femur"]
     assert f"another joint moved, which has id {b}" in problems["right middle coxa"]
+    assert problems["right middle coxa"].endswith("then calibrate the legs of both again")  # trims belong to the servos
 
 
 def test_motion_is_repeated_until_it_is_seen_and_not_asked_of_an_absent_operator() -> None:
