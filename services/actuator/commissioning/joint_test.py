@@ -41,7 +41,7 @@ class Moved:
         """Return a one-line report."""
         load = "" if math.isnan(self.load) else f"load {100 * self.load:3.0f} %  "
         measured = f"{load}{self.voltage:4.1f} V  {self.temperature:3.0f} deg C"
-        line = f"{self.name:<19} {self.way:<8} {self.moved_deg:+5.1f} of {self.asked_deg:+5.1f} deg  {measured}"
+        line = f"{self.name:<19} {self.way:<14} {self.moved_deg:+5.1f} of {self.asked_deg:+5.1f} deg  {measured}"
         return f"{line}  -> {self.problem}" if self.problem else line
 
 

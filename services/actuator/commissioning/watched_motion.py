@@ -10,9 +10,12 @@ AGAIN = "again"  # the operator has not seen the motion
 
 
 def way_in_words(profile: RobotProfile, leg: int, joint: int, up: int) -> str:
-    """Return where the foot moves, as seen from next to the robot; `up` is the sign of the joint's motion."""
+    """Return where the foot moves, as seen from next to the robot; `up` is the sign of the joint's motion.
+
+    The foot of a leg that hangs on a stand is below its joints, and moves outward where that of a straight leg moves up.
+    """
     if JOINTS[joint] != "coxa":
-        return "up" if up > 0 else "down"
+        return "up or outward" if up > 0 else "down or inward"
     ahead = -np.sin(np.radians(profile.legs[leg].neutral_yaw_deg)) * up  # the coxa turns about the body's z axis
     return "forward" if ahead > 0 else "backward"
 

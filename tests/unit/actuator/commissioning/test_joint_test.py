@@ -12,6 +12,7 @@ import pytest
 from sextant.services.actuator.commissioning.joint_test import STEP_DEG, run_joint_test
 from sextant.services.actuator.commissioning.watched_motion import way_in_words
 from sextant.services.actuator.servo_bus.bus_driver import ServoBus
+from sextant.shared.robot.kinematics import leg_forward
 from sextant.shared.robot.profile import JOINTS, LEGS, RobotProfile
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.servo_model import Register
@@ -60,7 +61,7 @@ class Watching(Builder):
     def ask(self, question: str) -> str:
         self.asked.append(question)
         name, _, way = question.partition(" and back")[0].partition(": did the ")
-        said = way.rpartition(" ")[2]
+        said = way.partition(" foot go ")[2]
         turned = np.array(self._desk.q) - self._desk.q[0]
         furthest = turned[np.abs(turned).max(axis=1).argmax()]
         self._desk.q.clear()
@@ -98,11 +99,21 @@ def test_joints_move_one_at_a_time_at_limited_torque_and_speed() -> None:
     assert "torque is off" in builder.told[-1]
 
 
+@pytest.mark.parametrize("joint", [1, 2])
+def test_foot_goes_up_or_outward_whether_its_leg_is_straight_or_hangs(joint: int) -> None:
+    assert way_in_words(PHANTOMX, 0, joint, 1) == "up or outward"
+    assert way_in_words(PHANTOMX, 0, joint, -1) == "down or inward"
+    for pose in ((0.0, 0.0, 0.0), (0.0, -80.0, 0.0), (0.0, -70.0, -30.0), (0.0, 0.0, -115.0)):
+        turned = np.radians(pose) + np.radians(STEP_DEG) * (np.arange(3) == joint)
+        outward, _, up = leg_forward(turned, PHANTOMX.links) - leg_forward(np.radians(pose), PHANTOMX.links)
+        assert max(outward, up, key=abs) > 0.0
+
+
 @pytest.mark.slow
 def test_reported_directions_match_visible_motion() -> None:
     moved, _ = run(Desk(), [True])
     ways = {one.name: one.way for one in moved}
-    assert {ways[f"{leg} femur"] for leg in LEGS} == {"up"}
+    assert {ways[f"{leg} femur"] for leg in LEGS} == {"up or outward"}
     coxa = {leg: ways[f"{leg} coxa"] for leg in LEGS}
     # All coxae turn counterclockwise from above: the left legs move backward, the right legs forward.
     assert coxa == {leg: "backward" if leg.startswith("left") else "forward" for leg in LEGS}
