@@ -273,7 +273,10 @@ def calibrate(bus: Bus, legs: tuple[str, ...], yes: bool, out: str | None, pose:
             calibration.see_pose(profile, leg, angles)
     except ValueError as error:
         raise InputError(f"--pose: {error}") from None
-    say(f"calibrating {', '.join(chosen)} into {path}" + (f"; already calibrated: {', '.join(known)}" if known else ""))
+    again, others = "" if set(chosen) - set(known) else " again", [leg for leg in known if leg not in chosen]
+    say(
+        f"calibrating {', '.join(chosen)}{again} into {path}" + (f"; already calibrated: {', '.join(others)}" if others else "")
+    )
 
     def keep(entry: "Calibration") -> None:
         say(f"{entry.leg}: written to {profile_file.change(path, base, legs=(entry,)) and path}")

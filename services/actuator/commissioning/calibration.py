@@ -84,13 +84,23 @@ def implausible(trims: Array) -> str:
     )
 
 
+def reachable_pose(profile: RobotProfile) -> tuple[float, float, float]:
+    """Return a pose [deg] of any leg: straight out, but the middle of the limits for a joint that cannot be straight."""
+    limits = np.degrees(profile.joint_limits)
+    low, high = limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
+    coxa, femur, tibia = np.where((low <= 0.0) & (high >= 0.0), 0.0, np.round((low + high) / 2.0)).tolist()
+    return coxa, femur, tibia
+
+
 def see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None:
     """Raise ValueError for a pose (3,) [deg] beyond a leg's limits."""
+    reached = " ".join(f"{angle:g}" for angle in reachable_pose(profile))
     limits = np.degrees(profile.joint_limits[LEGS.index(leg)])
     for joint, angle, (low, high) in zip(JOINTS, pose_deg, limits, strict=True):
         if not low <= angle <= high:
             raise ValueError(
-                f"a pose within the {leg} leg's limits expected, found {joint} {angle:g} deg, not {low:.0f} to {high:.0f} deg"
+                f"a pose within the {leg} leg's limits expected, found {joint} {angle:g} deg, not {low:.0f} to {high:.0f} deg; "
+                f"--pose {reached} is one"
             )
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sextant.services.actuator.commissioning.calibration import implausible, see_pose, trims_deg
+from sextant.services.actuator.commissioning.calibration import implausible, reachable_pose, see_pose, trims_deg
 from sextant.services.actuator.commissioning.joint_test import legs_in_words
 from sextant.services.actuator.commissioning.operator_dialogue import Operator
 from sextant.services.actuator.commissioning.watched_motion import AGAIN, seen_problem, way_in_words
@@ -231,24 +231,26 @@ def run_joint_test(
     """
     servos.setup()
     servos.set_torque(False)
+    pose = reachable_pose(profile)
+    angles = ", ".join(f"{joint} {angle:g}" for joint, angle in zip(JOINTS, pose, strict=True))
     if not operator.agree(
-        f"Each joint of {legs_in_words(legs)} jumps to its straight pose, then turns by {STEP_DEG:g} deg and back. "
-        "Bend the legs straight out by hand. Is the robot on a stand, its legs free?"
+        f"Each joint of {legs_in_words(legs)} jumps to its angle in the pose {angles} deg, then turns by {STEP_DEG:g} deg and "
+        "back. Bend the legs to that pose by hand. Is the robot on a stand, its legs free?"
     ):
         operator.say("nothing was moved, torque is off")
         return None
-    straight = np.degrees(profile.servo_angles(np.zeros((len(LEGS), len(JOINTS)))))
+    start = np.degrees(profile.servo_angles(np.tile(np.radians(pose), (len(LEGS), 1))))
     wrong = []
     try:
         for name in legs:
             leg = LEGS.index(name)
             for joint, words in enumerate(JOINTS):
-                up = 1 if np.radians(STEP_DEG) <= profile.joint_limits[leg, joint, 1] else -1
+                up = 1 if np.radians(pose[joint] + STEP_DEG) <= profile.joint_limits[leg, joint, 1] else -1
                 way = way_in_words(profile, leg, joint, up)
-                angles = float(straight[leg, joint]), up * int(profile.servo_signs[leg, joint]) * STEP_DEG
+                turn = up * int(profile.servo_signs[leg, joint]) * STEP_DEG
                 seen = AGAIN
                 while seen == AGAIN:
-                    _turn(servos, int(profile.servo_ids[leg, joint]), *angles, pause)
+                    _turn(servos, int(profile.servo_ids[leg, joint]), float(start[leg, joint]), turn, pause)
                     seen = seen_problem(operator, profile, leg, joint, way)
                 if seen:
                     wrong.append(f"{name} {words}: {seen}")

@@ -59,6 +59,7 @@ def url(bench: BenchEmulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         (["scan", "--robot", "nobody"], "no profile 'nobody'"),
         (["calibrate", "--robot", "nowhere.toml"], "nowhere.toml: no such file"),
         (["calibrate", "--pose", "0", "0", "90"], "--pose: a pose within the left front leg's limits expected, found tibia 90"),
+        (["calibrate", "--pose", "0", "0", "90"], "; --pose 0 0 0 is one"),
         (["calibrate", "--out", "other.toml"], "other.toml is a lotriet_rx64, phantomx_mk2 expected"),
         (["calibrate", "--out", "other"], "--out: a file that ends in .toml expected, found other"),
         (["calibrate", "--out", "nowhere/other.toml"], "--out: an existing, writable folder expected"),
@@ -188,6 +189,9 @@ def test_calibration_is_written_to_profile_or_out_file(
     assert [entry.leg for entry in second.calibration] == [LEGS[2], LEGS[4]]
     np.testing.assert_allclose(second.trims[[2, 4]], bench.robot.trims[[2, 4]], atol=dxl.TICK_RAD)
     assert "../my_phantomx_mk2.toml" in Path("deep/second.toml").read_text()
+    assert cli.main([*words[:-1], LEGS[4], "--robot", "deep/second.toml"]) == 0
+    again = f"calibrating {LEGS[4]} again into deep/second.toml; already calibrated: {LEGS[2]}\n"
+    assert again in capsys.readouterr().out
 
 
 def test_complete_joint_test_names_the_next_step(

@@ -16,6 +16,7 @@ from sextant.services.simulator.servo_bus.pulse_bench import PulseBench
 from sextant.shared.robot.profile import Calibration, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.servo.pwm import Board
+from sextant.shared.servo.servo_model import Register
 
 TODAY = date(2026, 7, 30)
 
@@ -106,6 +107,25 @@ def test_calibration_moves_nothing_unless_the_operator_agrees_and_ends_at_a_wish
         assert not done
         assert not kept
         assert rig.with_pulses == []
+
+
+def test_joint_test_stays_within_limits_that_exclude_straight_legs() -> None:
+    rig = Rig("maestro")
+    bent = [replace(leg, servo_limits_deg=((-60.0, 60.0), (-80.0, 80.0), (-80.0, 80.0))) for leg in rig.profile.legs]
+    profile = replace(rig.profile, legs=tuple(bent), horn_offsets_deg=(0.0, -35.0, 115.0))
+    sent: list[float] = []
+    send = rig.servos.write
+
+    def write(channel: int, register: Register, value: int) -> bool:
+        if register == rig.servos.model.table.goal_position:
+            sent.append(float(np.degrees(rig.servos.model.units.angle(value))))
+        return send(channel, register, value)
+
+    rig.servos.write = write  # type: ignore[method-assign]
+    operator = Operator("y,y,y")
+    assert pulse_commissioning.run_joint_test(rig.servos, profile, operator, rig.pause, legs=["left front"]) == []
+    assert np.abs(sent).max() < 80.0
+    assert "in the pose coxa 0, femur 0, tibia -115 deg" in operator.told[0]
 
 
 def test_each_joint_is_moved_alone_and_torque_is_off_afterwards(rig: Rig) -> None:
