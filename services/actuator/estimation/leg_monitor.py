@@ -48,6 +48,7 @@ _SLOWER = 0.6  # [1] share of the nominal speed
 _REMEMBERED_STANCES = 6  # for which a lie, a slip or a weakness is remembered; a weak leg hangs, so these stances prove nothing
 _MISTAKEN = "or a servo of any leg turns the wrong way or has another one's id: run `sextant servos test`"
 _CALIBRATE = "run `sextant camera calibrate`, which measures all horns"
+_MEASURE = "compare the lengths in [links] with the robot"
 
 
 class LegMonitor:
@@ -217,7 +218,7 @@ class LegMonitor:
         noise = max(1.0, offsets.unpredicted / pairs)
         if best.left > min(noise, _ONE_LEAVES) * pairs:
             self.deviation = (
-                f"horns or links of several legs differ from the profile: {_CALIBRATE}" if self._legs_differ else ""
+                f"horns or links of several legs differ from the profile: {_MEASURE}; {_CALIBRATE}" if self._legs_differ else ""
             )
             return
         if offsets.moved - best.left < _LASTING_EXPLAINS * noise or abs(best.size) < _LASTING_RAD:

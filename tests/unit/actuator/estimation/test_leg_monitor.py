@@ -99,7 +99,7 @@ def test_horn_that_is_off_from_the_start_is_named_without_slowing_the_robot() ->
 def test_robot_with_many_horns_off_says_that_its_legs_differ(seed: int) -> None:
     horns = np.radians(np.random.default_rng(seed).uniform(-4.0, 4.0, 18))
     said = walked(20, horns).deviation
-    assert said.startswith("horns or links of several legs differ from the profile")
+    assert said.startswith("horns or links of several legs differ from the profile: compare the lengths in [links]")
     assert said.endswith("run `sextant camera calibrate`, which measures all horns")
 
 
