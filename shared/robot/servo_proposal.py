@@ -63,6 +63,7 @@ _IDENTIFIED = MappingProxyType({"STS3215": (0.028, 0.052)})
 _DIGITS = 4
 BOARDS = get_args(pwm.Board)  # of hobby servos
 _HOBBY = "printed_ds3218"  # profile with hobby servos
+_LIKENESS = 0.65  # [1] of a model to suggest: an STS3215 is no suggestion for a DS3218, a hobby servo
 
 
 def nearest_servo(stall_torque: float | None) -> str:
@@ -184,4 +185,4 @@ def _servo_of_table(table: object, path: str) -> Servo:
 def unknown_model(name: str) -> str:
     """Return what to do about a servo model that is not known."""
     another = "for another servo, name the most similar model, then state the numbers that differ: docs/servos.md"
-    return f"no servo model {name!r}; {hint(name, MODEL_NAMED)} ({another})"
+    return f"no servo model {name!r}; {hint(name, MODEL_NAMED, likeness=_LIKENESS)} ({another})"
