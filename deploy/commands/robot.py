@@ -72,7 +72,10 @@ _SERVO_WORDS = (
 
 
 def _point(text: str) -> tuple[float, ...]:
-    point = tuple(map(float, text.split(",")))
+    try:
+        point = tuple(map(float, text.split(",")))
+    except ValueError:
+        point = ()
     if len(point) != 3 or not all(abs(length) <= 10 for length in point):
         raise ValueError(f"three lengths X,Y,Z of at most 10 m expected, found {text!r}")
     return point
@@ -83,7 +86,7 @@ def _point(text: str) -> tuple[float, ...]:
 @option("--out", "profile to write, a new file that ends in .toml", "PROFILE", required=True)
 @option(
     "--joints",
-    "TOML file with the joint names of each leg, and feet if they differ (default: guessed from their places)",
+    "TOML file with the joint names of each leg (default: guessed from their places), feet of each in a table [feet], or both",
     "FILE",
 )
 @option(

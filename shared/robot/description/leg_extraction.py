@@ -242,7 +242,8 @@ def leg_of(bodies: DescribedBodies, name: str, chain: Sequence[DescribedJoint], 
     offset = abs(float((p_foot - p_coxa) @ aside))
     if offset > _PLANE_TOLERANCE_M:
         words = f"a foot in the plane of coxa axis and leg expected, found it {1e3 * offset:.0f} mm off it"
-        raise DescriptionError(f"{place}: {words}; a profile has no such offset")
+        frames = "" if foot is None else "; where the last links have different frames, state each foot in [feet] of --joints"
+        raise DescriptionError(f"{place}: {words}; a profile has no such offset{frames}")
 
     def in_plane(vector: Array) -> tuple[float, float]:
         return float(vector @ out), float(vector[2])

@@ -103,6 +103,9 @@ def _import(
         chains = named_chains(bodies, names)
     described = [leg_of(bodies, leg, chain, feet.get(leg)) for leg, chain in zip(LEGS, chains, strict=True)]
     notes = [f"joints that are not of a leg are fixed at zero: {still_joints(bodies)}"] if bodies.still else []
+    if endless := [joint.name for chain in chains for joint in chain if joint.limits is None]:
+        which = "any joint" if len(endless) == len(LEGS) * len(JOINTS) else ", ".join(endless)
+        notes.append(f"the description has no limits of {which}: set legs.servo_limits_deg to where the brackets stop it")
     origin, size = _trunk(bodies, described, notes)
     data, battery = _servo([joint for chain in chains for joint in chain], servo, notes)
     most = math.floor(np.degrees(data.servo_model.units.range_rad) * 10 + 1e-6) / 10  # [deg] in both directions
@@ -125,8 +128,7 @@ def _import(
         f"{'channels' if data.pulses else 'servo ids'} are {first} to {first + 17}, horns and signs those of the description: "
         "`sextant servos calibrate` measures them"
     )
-    if data.pulses:
-        notes.append(f"screw the horns on with each servo at its centre and its joint at: {angles_at_centre(profile)}")
+    notes.append(f"screw the horns on with each servo at its centre and its joint at: {angles_at_centre(profile)}")
     error = _foot_error(bodies, chains, described, feet, profile, origin)
     joints = {leg: chain.joints for leg, chain in zip(LEGS, described, strict=True)}
     return ImportedProfile(profile, joints, tuple(notes), error)
@@ -135,12 +137,12 @@ def _import(
 class LegTable(NamedTuple):
     """Legs of a description as a user states them."""
 
-    joints: dict[str, list[str]]  # names of coxa, femur and tibia joint by leg
+    joints: dict[str, list[str]]  # names of coxa, femur and tibia joint by leg; empty if not stated
     feet: dict[str, list[float]]  # (3,) [m] {last link} centres of the feet by leg; empty if not stated
 
 
 def read_legs(path: Path) -> LegTable:
-    """Read a table of legs: their joints, such as `"left front" = ["a", "b", "c"]`, and feet in a table `[feet]`.
+    """Read a table of legs: their joints, such as `"left front" = ["a", "b", "c"]`, feet in a table `[feet]`, or both.
 
     Raises:
         DescriptionError: It is not such a table.
@@ -150,11 +152,12 @@ def read_legs(path: Path) -> LegTable:
     feet = table.pop("feet", {})
     if unknown := [key for key in table if key not in LEGS]:
         raise DescriptionError(f"{path}: no leg {unknown[0]!r}; {hint(unknown[0], LEGS)}")
-    for leg in LEGS:
+    named = LEGS if table or not feet else ()
+    for leg in named:
         found = table.get(leg)
         if not (isinstance(found, list) and len(found) == len(JOINTS) and all(isinstance(name, str) for name in found)):
             raise DescriptionError(f"{path}: {leg}: the names of {', '.join(JOINTS)} joint expected, found {found!r}")
-    names = [name for leg in LEGS for name in table[leg]]
+    names = [name for leg in named for name in table[leg]]
     if twice := [name for name in names if names.count(name) > 1]:
         raise DescriptionError(f"{path}: each joint once expected, found {twice[0]!r} twice")
     if not isinstance(feet, dict) or (feet and feet.keys() != set(LEGS)):
@@ -162,7 +165,7 @@ def read_legs(path: Path) -> LegTable:
     for leg, place in feet.items():
         if not (isinstance(place, list) and len(place) == 3 and all(type(p) in (int, float) and abs(p) < 10 for p in place)):
             raise DescriptionError(f"{path}: feet: {leg}: its centre [x, y, z] in metres expected, found {place!r:.60}")
-    return LegTable({leg: table[leg] for leg in LEGS}, feet)
+    return LegTable({leg: table[leg] for leg in named}, feet)
 
 
 def _horns(described: Sequence[DescribedLeg], most: float, notes: list[str]) -> Array:

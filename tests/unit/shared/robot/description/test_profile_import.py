@@ -24,6 +24,7 @@ from sextant.shared.robot.description.robot_description import (
     Shape,
     read_urdf,
 )
+from sextant.shared.robot.horn_assembly import angles_at_centre
 from sextant.shared.robot.kinematics import body_forward, body_inverse
 from sextant.shared.robot.links import BASE, LINK_RADII_M, hinges
 from sextant.shared.robot.profile import LEGS, RobotProfile
@@ -336,6 +337,20 @@ def test_table_of_joints_names_legs_and_leaves_other_hinges_out(tmp_path: Path) 
         import_profile(with_mast, read_legs(path).joints)
 
 
+def test_joints_without_limits_are_named() -> None:
+    assert not [note for note in import_profile(described(PROFILE)).notes if "no limits" in note]
+    one = import_profile(changed(named("left_rear_tibia", limits=None))).notes
+    every = import_profile(changed(lambda joint: replace(joint, limits=None))).notes
+    for notes, which in ((one, "left_rear_tibia"), (every, "any joint")):
+        assert any(note.startswith(f"the description has no limits of {which}: set") for note in notes)
+
+
+def test_angles_at_which_horns_are_mounted_are_stated_for_servos_on_a_bus() -> None:
+    found = import_profile(described(PROFILE), servo="LX-16A")
+    angles = angles_at_centre(found.profile)
+    assert f"screw the horns on with each servo at its centre and its joint at: {angles}" in found.notes
+
+
 def test_torque_and_speed_that_no_servo_has_are_those_of_the_model() -> None:
     whole = described(PROFILE)
     unlimited = tuple(replace(joint, effort=100.0, speed=100.0) if joint.axis is not None else joint for joint in whole.joints)
@@ -420,6 +435,12 @@ def test_feet_of_a_table_may_differ_between_legs(tmp_path: Path) -> None:
     found = import_profile(replace(whole, links=bare, joints=tuple(turned)), legs.joints, legs.feet)
     assert found.profile.links == PROFILE.links
     assert found.foot_error < 1e-6
+    path.write_text("\n".join(feet), encoding="utf-8")  # joints are guessed
+    assert read_legs(path) == ({}, legs.feet)
+    guessed = import_profile(replace(whole, links=bare, joints=tuple(turned)), None, read_legs(path).feet)
+    assert guessed.profile == found.profile
+    with pytest.raises(DescriptionError, match=r"mm off it; .* state each foot in \[feet\] of --joints"):
+        import_profile(replace(whole, links=bare, joints=tuple(turned)), foot=(PROFILE.links.tibia, 0.0, 0.0))
     for bad, words in (
         (feet[:-1], "feet: a table with the foot of each leg expected"),
         ([*feet[:-1], f'"{LEGS[-1]}" = [0.1, "a", 0.0]'], r"its centre \[x, y, z\] in metres expected"),
