@@ -117,7 +117,12 @@ class ElevationGrid:
         self._clearing = clearing or RayClearingParams()
         self._filter_rules = as_plain(
             FilterRules(
-                self.model.gate, self.model.patience, ESTABLISHED, self._clearing.settled_scans, self._clearing.well_below_m
+                self.model.gate,
+                self.model.patience,
+                ESTABLISHED,
+                self._clearing.settled_scans,
+                self._clearing.well_below_m,
+                shape[1],
             )
         )
         self._drift, self._ray_clearing = HeightDrift(drift or HeightDriftParams()), RayClearing(shape, self._clearing)

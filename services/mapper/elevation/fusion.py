@@ -16,6 +16,9 @@ from sextant.shared.robot.camera import DepthSensor
 from sextant.shared.runtime.compiled import as_plain, compiled
 
 _AT_A_TIME = 256  # points per block
+_OVERHANG = 0.05  # [m] below a surface, from which a height may be that of a wall below an overhang
+_CLEAR = 0.005**2  # [m^2] largest variance of a surface that was seen clearly: next to an edge it is larger
+_SAME_TOP, _SIDE_CELLS = 0.01, 3  # [m] between cells of one surface, and [cells] to either side in which it continues
 
 
 class ScanArrays(NamedTuple):
@@ -74,6 +77,7 @@ class FilterRules(NamedTuple):
     established: int  # [scans] after which a height counts as the first seen height
     settled: int  # [scans] after which a cleared cell counts as any other
     well_below: float  # [m] below the previous height, from which a new height shows that an object is gone
+    columns: int  # cells of a row of the map
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,6 +368,28 @@ def merge(
 
 
 @compiled
+def _is_between_tops(layers: FilterCells, c: int, columns: int) -> bool:
+    """Return whether a cell and undisputed cells on both sides are one surface, which was seen clearly.
+
+    A much lower height in such a cell is that of a wall below an overhang.
+    """
+    height, variance, _, _, _, _, votes, _, _, _ = layers
+    if variance[np.uint64(c)] > np.float32(_CLEAR):
+        return False
+    for step in (columns, 1):
+        sides = 0
+        for sign in (-1, 1):
+            for k in range(1, _SIDE_CELLS + 1):
+                other = np.uint64((c + sign * k * step) % len(height))
+                if votes[other] == 0 and abs(height[other] - height[np.uint64(c)]) < _SAME_TOP:
+                    sides += 1
+                    break
+        if sides == 2:
+            return True
+    return False
+
+
+@compiled
 def update_cells(
     measured: tuple[NDArray[np.int64], Array, Array, Array], layers: FilterCells, rules: FilterRules
 ) -> tuple[int, int, int]:
@@ -373,7 +399,7 @@ def update_cells(
     """
     cells, z, random, systematic = measured
     height, variance, support, assumed, rival, rival_variance, votes, first, through, fell = layers
-    gate, patience, established, settled, well_below = rules
+    gate, patience, established, settled, well_below, columns = rules
     updated = disputed = replaced = 0
     for k in range(len(cells)):
         c = np.uint64(cells[k])  # unsigned, so that no index counts from the end
@@ -410,6 +436,9 @@ def update_cells(
             rival[c], rival_variance[c], votes[c] = z[k], noise, 1
         # A height seen once is replaced by a rival seen twice; an established one resists for `patience` scans.
         if votes[c] >= min(patience, support[c] + 1):
+            if rival[c] < height[c] - _OVERHANG and support[c] >= established and _is_between_tops(layers, cells[k], columns):
+                votes[c] = 0
+                continue
             fell[c] = np.uint8(rival[c] < height[c] - well_below)
             height[c], variance[c], support[c], votes[c], through[c] = rival[c], rival_variance[c], votes[c], 0, 0
             first[c] = height[c] if support[c] >= established else np.nan
@@ -421,7 +450,7 @@ def update_cells(
 def settle_cells(measured: Measurements, layers: FilterCells, rules: FilterRules) -> int:
     """Filter each measurement repeatedly until it changes its cell; return how many cells changed."""
     cells, z, random, systematic = measured
-    _, patience, _, _, _ = rules
+    patience = rules[1]
     changed = 0
     for k in range(len(cells)):
         one = slice(k, k + 1)

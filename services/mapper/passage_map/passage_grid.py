@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.mapper.passage_map.moving_least_squares import smooth
+from sextant.services.mapper.passage_map.moving_least_squares import Surface, smooth
 from sextant.services.mapper.passage_map.voxel_cloud import CloudSnapshot, Strip
 from sextant.shared.geometry import Array
 
 _SURFACE_DEPTH_M = 0.02  # [m] below the top of a column, within which points belong to the same surface
 _MIN_UPPER_SHARE = 0.3  # [1] minimum share of a column's pixels at its top and above; fewer are an edge of an adjacent column
+_SAME_TOP_M = 0.01  # [m] between the tops of one surface
+_TOP_SIDE = (1, 2, 3)  # [columns] from a column, which form a side
 _CRACK_SHARE = 0.4  # [1] share of the pixels on either side, below which a column is a crack ...
 _CRACK_SIDE_PIXELS = 30.0  # ... if both sides have at least this many pixels per column
 _CRACK_SIDE = (1, 2, 3)  # [columns] from the crack, which form a side
@@ -78,9 +80,9 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
 
     1. Project points onto their surface by moving least squares, which also gives normals and roughness.
     2. Represent each column by its highest point, because the robot walks on top of objects. Higher points with less than
-       30 % of the column's pixels are ignored, as noise or as the edge of an adjacent column. The normal is the mean over
-       the points of the upper surface. The thesis uses all points of the column, but points on the floor below do not support
-       the foot.
+       30 % of the column's pixels are ignored, as noise or as the edge of an adjacent column, unless the tops on both sides
+       are as high: then most pixels show a wall below an overhang. The normal is the mean over the points of the upper
+       surface. The thesis uses all points of the column, but points on the floor below do not support the foot.
     3. Mark a column with few pixels between columns with many as unknown. It is a crack, into which a camera that looks along
        the ground hardly sees, and its pixels are stray.
     4. Assign each cell the column that contains its centre, and evaluate the plane of the column's point there. A column
@@ -100,7 +102,7 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     centres = cell_centres(strip, resolution)
     shape = centres.shape[:2]
     surface = smooth(cloud.points, cloud.weight, radius)
-    top, normals, roughness = _tops(cloud.column, cloud.weight, surface.points, surface.normals, surface.roughness)
+    top, normals, roughness = _tops(cloud, surface)
     point_of = np.full(cloud.shape, -1, dtype=np.int64)
     point_of.ravel()[cloud.column[top]] = np.arange(len(top))
     pixels = np.bincount(cloud.column, weights=cloud.weight, minlength=point_of.size)
@@ -179,18 +181,26 @@ def _cracks(pixels: Array) -> NDArray[np.bool_]:
     return few
 
 
-def _tops(
-    column: NDArray[np.int64], weight: Array, points: Array, normals: Array, roughness: Array
-) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the index (m,), normal (m, 3) and roughness (m,) [m] of the top point of each column.
+def _is_between_tops(height: Array, top: Array, column: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return whether heights (m,) [m] in columns (m,) continue the tops (m,) [m] of columns on both of their sides."""
+    tops = np.full(shape, np.nan)
+    tops.ravel()[column] = top
+    far = max(_TOP_SIDE)
+    padded = np.pad(tops, far, constant_values=np.nan)
+    i, j = np.divmod(column, shape[1])
+    found = np.zeros(len(column), dtype=np.bool_)
+    for di, dj in ((1, 0), (0, 1)):
+        sides = (
+            [np.abs(padded[far + i + k * di, far + j + k * dj] - height) < _SAME_TOP_M for k in (sign * n for n in _TOP_SIDE)]
+            for sign in (-1, 1)
+        )
+        found |= np.logical_and(*(np.any(side, axis=0) for side in sides))
+    return found
 
-    Args:
-        column: (n,) column of each point; points are sorted by column, and upward in each.
-        weight: (n,) number of pixels of each point.
-        points: (n, 3) [m] {world}.
-        normals: (n, 3) unit normals.
-        roughness: (n,) [m], NaN without a normal.
-    """
+
+def _tops(cloud: CloudSnapshot, surface: Surface) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return the index (m,), normal (m, 3) and roughness (m,) [m] of the top point of each column."""
+    column, weight, points, normals, roughness = cloud.column, cloud.weight, surface.points, surface.normals, surface.roughness
     if not len(column):
         return np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
     first = np.flatnonzero(np.diff(column, prepend=-1))
@@ -200,6 +210,8 @@ def _tops(
     above = (below[first] - weight[first] + total)[of] - below + weight  # pixels of each point and those above it
     carries = np.where(above >= _MIN_UPPER_SHARE * total[of], np.arange(len(column)), -1)
     top = np.maximum.reduceat(carries, first)
+    highest = np.append(first[1:], len(column)) - 1
+    top = np.where(_is_between_tops(points[highest, 2], points[top, 2], column[first], cloud.shape), highest, top)
     depth = points[top, 2][of] - points[:, 2]  # [m] below the top point
     counts = (np.abs(depth) <= _SURFACE_DEPTH_M) & np.isfinite(roughness)
     sums = np.add.reduceat(np.where(counts[:, None], normals, 0.0), first)

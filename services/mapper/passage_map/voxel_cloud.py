@@ -16,6 +16,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.runtime.compiled import compiled
 
 _NONE = -1  # end of a column's list
+_SIDE_COLUMNS = 3  # columns to either side in which a surface continues
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +123,7 @@ class VoxelCloud:
 
     A voxel well above the ground that a scan shows in its column was seen through. Two such scans in a row may be noise at an
     edge. After `patience` of them without a hit in between, the voxel is removed. Ground that gave way thus leaves the cloud.
+    A voxel of a surface that was not seen through on both of its sides stays: the camera looks below an overhang, at a wall.
     """
 
     def __init__(
@@ -235,6 +237,26 @@ class VoxelCloud:
 
 
 @compiled
+def _is_between_tops(columns: _Columns, i: int, j: int, at: int) -> bool:
+    """Return whether voxels near a level were not seen through on both sides of a column."""
+    for axis in range(2):
+        sides = 0
+        for sign in (-1, 1):
+            found = False
+            for k in range(1, _SIDE_COLUMNS + 1):
+                a, b = (i + sign * k, j) if axis == 0 else (i, j + sign * k)
+                if 0 <= a < columns.head.shape[0] and 0 <= b < columns.head.shape[1]:
+                    slot = columns.head[a, b]
+                    while slot >= 0 and not found:
+                        found = columns.missed[slot] == 0 and abs(columns.level[slot] - at) <= 1
+                        slot = columns.next_[slot]
+            sides += found
+        if sides == 2:
+            return True
+    return False
+
+
+@compiled
 def _merge(
     points: Array, count: Array, frame: Array, columns: _Columns, scan: int, rules: _MergeRules
 ) -> tuple[int, int, int, int, int]:
@@ -263,7 +285,9 @@ def _merge(
             elif centroid[slot, 2] > z + see_through and judged[slot] != scan:  # a scan counts once
                 judged[slot] = scan
                 missed[slot] += 1
-                if missed[slot] >= patience:
+                if missed[slot] >= patience and _is_between_tops(columns, i, j, level[slot]):
+                    missed[slot] = 0
+                elif missed[slot] >= patience:
                     if before < 0:
                         head[i, j] = after
                     else:

@@ -48,9 +48,11 @@ def reduce_scan(
     """Bin the pixels of a frame by world x and y, with one mean surface per cell.
 
     The upper surface is used if it holds 30 % of the cell's pixels. A block that only reaches slightly into a cell, or noise
-    at its edge, therefore does not fill the cell. Otherwise the lower surface is used, with one exception. If it is a face
+    at its edge, therefore does not fill the cell. Otherwise the lower surface is used, with two exceptions. If it is a face
     that rises to the upper surface, and no adjacent cell shows level ground at that height, the upper surface is used. A
-    wall with its top out of view thus counts with its highest visible part, and not with its middle.
+    wall with its top out of view thus counts with its highest visible part, and not with its middle. The upper surface is also
+    used between two cells of level ground at its height, if the lower one is deep below it: these pixels then show a wall below
+    an overhang.
 
     Pixels between two surfaces are dropped first. On both sides of such a pixel, along a row or a column, the depth jumps,
     to the front on one side and to the back on the other, or there is no return.
@@ -266,7 +268,9 @@ def _bin(raw: Array, rays: _Rays, T: Array, region: _Region, surfaces: _Surfaces
             cell[10] += weight
     for k in range(n):
         cell = cells[k]
-        if cell[0] < np.float32(surfaces.carrying_share) * cell[10] and not _is_wall(cells, cell_of, k, side, surfaces):
+        if cell[0] >= np.float32(surfaces.carrying_share) * cell[10]:
+            continue
+        if not (_is_wall(cells, cell_of, k, side, surfaces) or _is_between_tops(cells, cell_of, k, side, surfaces)):
             cell[0], cell[1], cell[2], cell[3] = cell[4], cell[5], cell[6], cell[7]
     return n
 
@@ -288,6 +292,30 @@ def _is_wall(cells: Array, cell_of: Array, k: int, side: int, surfaces: _Surface
             if level and other[3] >= (cell[8] - np.float32(2.0 * surfaces.surface_m)) * other[0]:
                 return False
     return True
+
+
+@compiled
+def _is_between_tops(cells: Array, cell_of: Array, k: int, side: int, surfaces: _Surfaces) -> bool:
+    """Return whether level ground on both sides of a deep cell, at most two cells away, is as high as its upper surface."""
+    cell = cells[k]
+    if cell[8] - cell[9] < np.float32(2.0 * surfaces.face_m):
+        return False
+    i, j = int(cell[11]), int(cell[12])
+    for di, dj in ((1, 0), (0, 1)):
+        sides = 0
+        for sign in (-1, 1):
+            found = False
+            for away in (1, 2):
+                a, b = i + sign * away * di, j + sign * away * dj
+                beside = cell_of[a * side + b] if 0 <= a < side and 0 <= b < side else np.int32(-1)
+                if beside >= 0:
+                    other = cells[beside]
+                    level = other[8] - other[9] < np.float32(surfaces.face_m)
+                    found |= level and abs(other[3] / other[0] - cell[3] / cell[0]) < np.float32(surfaces.surface_m)
+            sides += found
+        if sides == 2:
+            return True
+    return False
 
 
 @compiled

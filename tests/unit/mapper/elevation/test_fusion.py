@@ -184,6 +184,19 @@ def test_changed_ground_is_replaced_within_patience(step: float) -> None:
     assert report.disputed == 0
 
 
+@pytest.mark.parametrize(("lower", "gone", "stays"), [(0.14, 1, True), (0.14, 7, False), (0.03, 1, False)])
+def test_only_a_narrow_deep_place_in_a_clear_surface_is_a_wall_below_an_overhang(lower: float, gone: int, stays: bool) -> None:
+    """Check a surface in which the camera sees lower ground, over some cells from side to side."""
+    grid = ElevationGrid(size=64)
+    xy = centres(grid)
+    for _ in range(10):
+        scan(grid, xy, 0.0)
+    low = np.abs(xy[:, 1]) < 0.005 * gone
+    for _ in range(20):
+        scan(grid, xy[low], -lower)
+    assert grid.heights(xy[low]) == pytest.approx(0.0 if stays else -lower, abs=1e-3)
+
+
 def test_intermittent_outliers_do_not_change_established_height() -> None:
     grid = ElevationGrid(size=16)
     xy = centres(grid)

@@ -81,6 +81,15 @@ def test_surface_of_few_pixels_above_ground_is_ignored() -> None:
         np.testing.assert_allclose(grid.elevation[on], height, atol=1e-6)
 
 
+def test_top_with_few_pixels_over_a_wall_is_the_height_of_the_surface_around_it() -> None:
+    where = strip(0.0)
+    top = ground(where)
+    wall = top[np.abs(where.local(top[:, :2])[:, 1]) < 0.01] - np.array([0.0, 0.0, 0.14])
+    cloud = cloud_of(where, top)
+    cloud.insert(wall, np.full(len(wall), 10.0))
+    np.testing.assert_allclose(passage_grid(cloud.snapshot(), where, 0.01).elevation, 0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("heading", [0.0, np.pi / 4, -np.pi / 2])
 def test_crack_between_blocks_is_unknown_despite_stray_pixels(heading: float) -> None:
     where = Strip((0.3, -0.2), heading, 0.8, 0.5)

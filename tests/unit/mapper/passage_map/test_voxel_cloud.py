@@ -125,6 +125,16 @@ def test_intermittently_seen_edge_stays() -> None:
     assert len(cloud) == 2
 
 
+@pytest.mark.parametrize(("width", "stays"), [(0.01, True), (0.03, True), (0.09, False)])
+def test_top_that_overhangs_a_wall_stays(width: float, stays: bool) -> None:
+    cloud, top = VoxelCloud(STRIP, patience=3), ground(0.05, (0.4, 0.6), (-0.1, 0.1))
+    cloud.insert(top, ones(top))
+    wall = ground(-0.1, (0.4, 0.6), (0.0, width))
+    for _ in range(10):
+        cloud.insert(wall, ones(wall))
+    assert len(cloud) == len(wall) + len(top) - (0 if stays else len(wall))
+
+
 def test_scan_counts_once_per_voxel_it_sees_through() -> None:
     cloud = VoxelCloud(STRIP, patience=3)
     top, floor = np.array([[0.505, 0.005, 0.05]]), np.tile([[0.505, 0.005, -0.3]], (10, 1))

@@ -123,6 +123,18 @@ def test_wall_height_is_its_highest_visible_point(world, x):
     assert (p[face, 2] > highest - 0.02).mean() > 0.9
 
 
+def test_wall_below_an_overhang_does_not_lower_its_top(world):
+    """Check a pillar behind a gap, whose narrower base is seen from the side, in more pixels than the top."""
+    T = world.camera_pose(0.2)
+    T[2, 3] += 0.4
+    platform, pillar = [0.0, -1.0, 0.0, 0.5, 1.0, 0.4], [[0.7, 0.05, 0.36, 0.9, 0.25, 0.4], [0.75, 0.1, 0.0, 0.85, 0.2, 0.36]]
+    scan = reduced(world, world.depth_image(T, [platform, *pillar]), T, max_points=100_000)
+    p = positions(scan)
+    inside = (np.abs(p[:, 0] - 0.8) < 0.085) & (np.abs(p[:, 1] - 0.15) < 0.085)
+    assert np.count_nonzero(scan.spread[inside] > 30) > 40, "cells with both"
+    assert np.count_nonzero(np.abs(p[inside, 2] - 0.4) > 0.003) < 4, "only the corner of the base, with walls on two sides"
+
+
 def test_few_outlier_pixels_do_not_raise_cell(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
