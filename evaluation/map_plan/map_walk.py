@@ -305,7 +305,7 @@ class _Walker:
         stance = Stance(T[:3, 3].copy(), apply(strip.T_strip_world, self._feet), yaw_of(T))
         found: SectionPlan | NoSection | None = None
         for attempt in range(ATTEMPTS):
-            roadmap.begin(strip, stance, goal_x, ATTEMPTS * section + attempt, turning)
+            roadmap.begin(strip, stance, goal_x, ATTEMPTS * section + attempt, turning, central=attempt == 0)
             found = None
             while found is None:
                 found = roadmap.grow(10_000)

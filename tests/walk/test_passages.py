@@ -109,7 +109,7 @@ def test_robot_crosses_passage(scenario: Scenario) -> None:
 
 @pytest.mark.rare
 def test_sinking_pillar_is_detected_by_touch_and_passage_is_replanned() -> None:
-    found = walk(load_scenario("passage_gives_way"), 1005, WANTED)
+    found = walk(load_scenario("passage_gives_way"), 1000, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
     assert report.success, report.reason
     assert (report.falls, report.shutdowns) == (0, 0)

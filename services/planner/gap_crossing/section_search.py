@@ -1,4 +1,4 @@
-"""Search for the sections of a crossing: attempts with other samples, and their limit at one place."""
+"""Search for the sections of a crossing: attempts with other footholds and samples, and their limit at one place."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -11,7 +11,7 @@ from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import PassagePlan
 
-ATTEMPTS = 8  # attempts to plan a section, each with other samples
+ATTEMPTS = 9  # attempts to plan a section: one with feet only in the middle of ground, then others, each with other samples
 PLANNINGS = 3  # maximum number of plannings at one place
 _PER_TICK = 4_000  # expansions per actuator message, 25 messages a second: 100 000 a second, the capacity of a core
 _SAME_PLACE = 0.03  # [m] radius of one place of the body
@@ -25,7 +25,7 @@ class SectionPlanner(Protocol):
         """Return the tree, (n, 2, 3) [m] {strip}."""
         ...
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, central: bool) -> None:
         """Start a new search."""
         ...
 
@@ -77,7 +77,8 @@ class SectionSearch:
             self.section, self._attempt = self.section + 1, 0
         self._attempt += 1
         self._goal_x, self._planning_ns, self.is_running = goal_x, 0, True
-        self._roadmap.begin(field, root, goal_x, ATTEMPTS * self.section + self._attempt, self.turns)
+        seed, central = ATTEMPTS * self.section + self._attempt, self._attempt == 1
+        self._roadmap.begin(field, root, goal_x, seed, self.turns, central)
         return ""
 
     @property

@@ -124,7 +124,9 @@ class Roadmap:
         """Return n random stances of the current tree, for the benchmark."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool = False) -> None:
+    def begin(
+        self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool = False, central: bool = False
+    ) -> None:
         """Start a new search.
 
         Args:
@@ -133,6 +135,8 @@ class Roadmap:
             goal_x: [m] {strip} goal of the body.
             seed: Random seed of the samples.
             turning: Whether the body may turn; otherwise it faces along the strip.
+            central: Whether feet stand only in the middle of ground, where it bears best: a pillar may tip under a load at its
+                edge (Masri 2016, section 6.4.1).
 
         Raises:
             ValueError: The stance has wrong shapes or feet that are not finite.
@@ -140,6 +144,9 @@ class Roadmap:
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
         self._field, self._rules = field, self._turning if turning else self._straight
+        if central:
+            middle = max(self._settings.central_cells, int(field.evaluation.min()))
+            self._rules = self._rules._replace(strong=middle, wide=middle, central=-self._settings.central_cells)
         self._hidden = np.zeros(0)
         if is_uneven(field, self._settings.uneven_m):
             sway, moves = self._settings.sway_m, self._settings.uneven_body_moves

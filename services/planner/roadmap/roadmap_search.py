@@ -119,6 +119,7 @@ class Rules(NamedTuple):
     strong: int  # [cells] F up to which a place is taken unchanged
     wide: int  # [cells] F of a local minimum up to which ground is wide
     weakest: int  # [cells] weakest permitted F of a local minimum
+    central: int  # [cells] around a foothold, of which the lowest F is taken; 0 for none
     drift: float  # [m] Delta y
     depth: int  # maximum number of steps
     step_gain: float  # [m] progress of robot and feet in a step, for the cost to go
@@ -480,6 +481,18 @@ def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tu
             while a < F.shape[0] - 1 and F[a + 1, b] <= strong:
                 a += 1
     return a, b
+
+
+@compiled
+def _lowest(F: NDArray[np.int8], i: int, j: int, reach: int) -> tuple[int, int]:
+    """Return the nearest of the cells with the lowest F within a reach [cells] along both axes, so that no pit of F counts."""
+    bi, bj, nearest = i, j, 0
+    for a in range(max(i - reach, 0), min(i + reach + 1, F.shape[0])):
+        for b in range(max(j - reach, 0), min(j + reach + 1, F.shape[1])):
+            distance = (a - i) ** 2 + (b - j) ** 2
+            if F[a, b] < F[bi, bj] or (F[a, b] == F[bi, bj] and distance < nearest):
+                bi, bj, nearest = a, b, distance
+    return bi, bj
 
 
 @compiled
@@ -1383,6 +1396,7 @@ def _footholds(
         code = _wide(ground.meant[i, j])
         if code < 0:
             a, b = _resolved(F, i, j, rules.strong, rules.wide)
+            a, b = _lowest(F, a, b, rules.central)
             code = a * ny + b
             ground.meant[i, j] = code
         known = False

@@ -38,7 +38,7 @@ class ScriptedRoadmap:
         self.grown = 0
         self.edges: Array = np.zeros((3, 2, 3))
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, central: bool) -> None:
         self.begun.append((field, stance, goal_x, seed))
         self.turning.append(turning)
         self.grown = 0

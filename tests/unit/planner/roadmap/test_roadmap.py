@@ -42,9 +42,16 @@ def level(length: float = 2.0) -> StripMap:
 
 
 def grown(
-    roadmap: Roadmap, field: StripMap, stance: Stance, goal_x: float, seed: int = 1, part: int = 10**6, turning: bool = False
+    roadmap: Roadmap,
+    field: StripMap,
+    stance: Stance,
+    goal_x: float,
+    seed: int = 1,
+    part: int = 10**6,
+    turning: bool = False,
+    central: bool = False,
 ) -> SectionPlan | NoSection:
-    roadmap.begin(field, stance, goal_x, seed, turning)
+    roadmap.begin(field, stance, goal_x, seed, turning, central)
     while (outcome := roadmap.grow(part)) is None:
         pass
     return outcome
@@ -89,6 +96,19 @@ def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: 
             assert field.evaluation[i, j] <= SETTINGS.weakest_cells
             assert step.touchdown[2] == pytest.approx(field.elevation[i, j] + PROFILE.foot.radius)
             assert SETTINGS.swing_clear_m <= step.clearance <= PROFILE.stance.max_lift
+
+
+def test_central_footholds_are_the_middle_of_each_pillar(roadmap: Roadmap) -> None:
+    blocks = [Block(x, y, 0.2, 0.2) for x in (0.15, 0.4, 0.65) for y in (-0.16, 0.16)]
+    field = strip_of(heights(blocks, GAP), HEIGHT)
+    on_pillars = np.zeros(field.evaluation.shape, dtype=np.bool_)
+    on_pillars[round((NEAR + 0.01) / 0.01) : round((NEAR + GAP - 0.01) / 0.01)] = True
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, central=True)
+    assert isinstance(found, SectionPlan), found.reason
+    feet = np.array([step.touchdown for step in found.steps if step.leg >= 0])
+    i, j = np.rint((feet[:, :2] - field.first_cell) / field.resolution).astype(int).T
+    assert on_pillars[i, j].any()
+    assert field.evaluation[i, j][on_pillars[i, j]].max() == -5
 
 
 def bridge(lines: list[tuple[float, float, float]], tops: tuple[float, float] = (0.0, 0.0)) -> StripMap:
