@@ -16,6 +16,11 @@ from sextant.shared.spelling import hint, nearest
 _Function = Callable[..., Any]
 _LARGEST = 2**53  # largest integer that every JSON reader represents exactly
 _WIDTH = 120  # [characters] of the widest help
+_SETTINGS = {  # options of `sextant servos` and what sets the same in commands that start the actuator
+    "--port": "actuator.port=DEVICE",
+    "--bridge": "actuator.bridge=true",
+    "--echo": "actuator.echo=true",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +160,8 @@ def _problem(error: click.UsageError) -> str:
             offered = [] if command is None else [one for one in command.params if not getattr(one, "hidden", False)]
             words = {word.lstrip("-"): word for one in offered for word in one.opts}  # dashes make any two similar
             near = nearest(error.option_name.lstrip("-"), words)
+            if "set" in words and error.option_name in _SETTINGS:
+                return f"unknown option {error.option_name!r}; the setting is --set {_SETTINGS[error.option_name]}"
             return f"unknown option {error.option_name!r}" + (f"; did you mean {words[near]!r}?" if near else "")
         case click.MissingParameter():
             return f"{_name(error.param)} expected, found none"

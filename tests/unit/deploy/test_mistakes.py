@@ -165,6 +165,7 @@ MISTAKES = [
     ("topics hz planner/stpe", "no topic 'planner/stpe'; did you mean 'planner/step'?"),
     ("topics ros2 --connect tcp/127.0.0.1:1", "nothing listens on port 1 of 127.0.0.1"),
     ("service install onbord --dry-run", "ROLE: unknown 'onbord'; did you mean 'onboard'?"),
+    ("up onboard --port /dev/ttyUSB0", "unknown option '--port'; the setting is --set actuator.port=DEVICE"),
     ("doctor --bridge", "--bridge: --port DEVICE expected, the port of the microcontroller"),
     ("doctor --stranger nowhere", "--stranger: PROTOCOL/HOST:PORT expected"),
     ("robot export phantomx_mk2", "one of --urdf and --mjcf expected, found none"),
