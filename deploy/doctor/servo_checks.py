@@ -183,21 +183,24 @@ def at_bridge(port: str, profile: "RobotProfile") -> Iterator[Check]:
     from sextant.services.actuator.config import Settings
     from sextant.services.actuator.servo_bus.bus_driver import BusDisconnectedError, BusSetupError, open_port
     from sextant.services.actuator.servo_bus.bus_scan import call
+    from sextant.services.actuator.servo_bus.bus_setup import BoardSilentError
     from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
     from sextant.services.actuator.servo_bus.servo_interface import on_port
 
     name = f"servo port {port}"
     try:
-        opened = open_port(port, timeout_ns=READ_NS)
-        with closing(on_port(profile, Settings(bridge=True), opened, time.monotonic_ns)) as board:
+        with closing(open_port(port, timeout_ns=READ_NS)) as opened:
+            board = on_port(profile, Settings(bridge=True), opened, time.monotonic_ns)
             board.open_session()
             if isinstance(board, Bridge):
                 seen = call(board.registers, profile.servo_names)
                 yield from answering(name, seen, profile, "check the servos' power and the cable at the board")
             else:
                 yield from pulses(name, board, profile)
-    except (BusDisconnectedError, BusSetupError) as error:
+    except (BusDisconnectedError, BoardSilentError) as error:
         yield Check(name, Level.FAIL, str(error), "check the board's power and cable, or give another port with --port")
+    except BusSetupError as error:
+        yield Check(name, Level.FAIL, str(error), "make the board's config.py and the profile agree: docs/bridge.md")
 
 
 def _in_place_of_board(port: str, profile: "RobotProfile", error: Exception) -> str:

@@ -145,6 +145,8 @@ def test_missing_and_other_bridges_are_reported(bench: BenchEmulator, monkeypatc
     assert "no bridge answers on the port" in silent.found
     (other,) = at_bridge(Board(bench), load_profile("printed_sts3215"), monkeypatch)
     assert "the bridge drives servos AX-12A, the profile has STS3215" in other.found
+    assert "cable" in silent.advice
+    assert "cable" not in other.advice
     (several,) = at_bridge(Board(bench), mixed_robot("AX-12A", "MX-28", "AX-12A"), monkeypatch)
     assert "one servo model and one bus behind a bridge expected" in several.found
 
