@@ -10,11 +10,11 @@ import pytest
 
 from sextant.services.actuator.servo_bus import bus_scan
 from sextant.services.actuator.servo_bus.bus_driver import BusSetupError, ServoBus
-from sextant.services.actuator.servo_bus.bus_scan import BusResponse, ServoScan, scan_servo
+from sextant.services.actuator.servo_bus.bus_scan import BusResponse, ServoScan, scan_servo, wrong_settings
 from sextant.services.actuator.servo_bus.other_device import NotAServoBusError
 from sextant.services.simulator.servo_bus.bus import Reply
 from sextant.shared.servo import dynamixel as dxl
-from sextant.shared.servo.models import XM430_W350
+from sextant.shared.servo.models import SCS0009, XM430_W350
 from tests.support.desk import Desk
 
 NAMES = Desk().profile.servo_names
@@ -234,3 +234,12 @@ def test_model_that_a_profile_states_by_numbers_has_its_name_in_a_scan() -> None
     model = replace(XM430_W350, name="XM430-W210", number=1030)
     assert ServoScan(1, BusResponse.CLEAR, model, model.factory_table()).model == "XM430-W210"
     assert ServoScan(1, BusResponse.CLEAR, model, XM430_W350.factory_table()).model == "XM430-W350"
+
+
+def test_limits_are_those_of_the_factory_or_the_whole_range_where_they_are_too_narrow() -> None:
+    table, units = SCS0009.table, SCS0009.units
+    low, high = SCS0009.default(table.low_limit), SCS0009.default(table.high_limit)
+    seen = ServoScan(1, BusResponse.CLEAR, SCS0009, SCS0009.factory_table())
+    assert wrong_settings(seen, SCS0009, (low, high)) == []
+    wide = {one.register: one.value for one in wrong_settings(seen, SCS0009, (low - 5, high + 5))}
+    assert wide == {table.low_limit: 0, table.high_limit: units.max_position}

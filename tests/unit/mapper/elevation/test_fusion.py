@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, FusionCount
 from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.shared.robot.camera import DepthSensor
-from tests.support.grid_scans import CAMERA, centres, scan, scan_of
+from tests.support.grid_scans import CAMERA, centres, scan, scan_of, take
 
 
 def test_equal_measurements_converge_and_variance_falls_to_its_floor() -> None:
@@ -184,17 +184,19 @@ def test_changed_ground_is_replaced_within_patience(step: float) -> None:
     assert report.disputed == 0
 
 
-@pytest.mark.parametrize(("lower", "gone", "stays"), [(0.14, 1, True), (0.14, 7, False), (0.03, 1, False)])
-def test_only_a_narrow_deep_place_in_a_clear_surface_is_a_wall_below_an_overhang(lower: float, gone: int, stays: bool) -> None:
-    """Check a surface in which the camera sees lower ground, over some cells from side to side."""
-    grid = ElevationGrid(size=64)
+@pytest.mark.parametrize(("lower", "width", "stays"), [(0.14, 1, True), (0.14, 3, True), (0.14, 6, False), (0.03, 1, False)])
+def test_only_a_narrow_deep_place_in_a_clear_surface_is_a_wall_below_an_overhang(lower: float, width: int, stays: bool) -> None:
+    """Check a surface in which a camera above it sees lower ground, in a square of some cells."""
+    grid, p_camera = ElevationGrid(size=32), np.array([0.0, 0.0, 0.8])
     xy = centres(grid)
+    surface = np.column_stack([xy, np.zeros(len(xy))])
     for _ in range(10):
-        scan(grid, xy, 0.0)
-    low = np.abs(xy[:, 1]) < 0.005 * gone
+        take(grid, surface, p_camera)
+    square = np.abs(xy - 0.005 * width).max(axis=1) < 0.005 * width
+    assert np.count_nonzero(square) == width**2
     for _ in range(20):
-        scan(grid, xy[low], -lower)
-    assert grid.heights(xy[low]) == pytest.approx(0.0 if stays else -lower, abs=1e-3)
+        take(grid, surface[square] - np.array([0.0, 0.0, lower]), p_camera)
+    assert grid.heights(xy[square]) == pytest.approx(0.0 if stays else -lower, abs=1e-3)
 
 
 def test_intermittent_outliers_do_not_change_established_height() -> None:

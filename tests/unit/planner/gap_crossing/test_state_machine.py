@@ -35,12 +35,14 @@ class ScriptedRoadmap:
         self.found = list(found)
         self.begun: list[tuple[StripMap, Stance, float, int]] = []
         self.turning: list[bool] = []
+        self.central: list[bool] = []
         self.grown = 0
         self.edges: Array = np.zeros((3, 2, 3))
 
     def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, central: bool) -> None:
         self.begun.append((field, stance, goal_x, seed))
         self.turning.append(turning)
+        self.central.append(central)
         self.grown = 0
 
     def grow(self, expansions: int) -> SectionPlan | NoSection | None:
@@ -220,6 +222,12 @@ def test_crossing_is_refused_with_planner_reason_after_all_attempts() -> None:
     refused = CannotCross("straight on: all; with turns up to 45 deg: left front leg: out of reach")
     assert robot.until_end(3000) == refused
     assert len({seed for *_, seed in robot.sections.begun}) == _ALL
+
+
+def test_feet_are_tried_in_the_middle_of_ground_once_for_each_section() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way()] * 2, replace(section(0.0, 0.9), complete=False), section(0.9, 1.85)))
+    robot.until_end()
+    assert robot.sections.central[:4] == [True, False, False, True]
 
 
 def test_narrow_ground_is_crossed_like_a_gap_to_its_end() -> None:

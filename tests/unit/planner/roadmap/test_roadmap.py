@@ -99,10 +99,14 @@ def test_planned_footholds_lie_in_middle_of_pillars(roadmap: Roadmap, scenario: 
 
 
 def test_central_footholds_are_the_middle_of_each_pillar(roadmap: Roadmap) -> None:
+    """Check pillars with shallow minima of the evaluation function at their edges, as noise makes them."""
     blocks = [Block(x, y, 0.2, 0.2) for x in (0.15, 0.4, 0.65) for y in (-0.16, 0.16)]
     field = strip_of(heights(blocks, GAP), HEIGHT)
     on_pillars = np.zeros(field.evaluation.shape, dtype=np.bool_)
     on_pillars[round((NEAR + 0.01) / 0.01) : round((NEAR + GAP - 0.01) / 0.01)] = True
+    edge = on_pillars & (field.evaluation == -2)
+    edge[1::3] = edge[:, 1::3] = False
+    field.evaluation[edge] = -4
     found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, central=True)
     assert isinstance(found, SectionPlan), found.reason
     feet = np.array([step.touchdown for step in found.steps if step.leg >= 0])
