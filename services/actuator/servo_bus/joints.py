@@ -91,9 +91,8 @@ class Joints:
         self.voltage = np.full(18, np.nan)  # [V]
         self._voltage_ns = np.zeros(18, dtype=np.int64)  # stamps of these
         rare = np.array([model.commands is not None for model in self._models])  # servos whose voltage is seldom read
-        self._of_supply = [
-            rare if rare[index] else index for index in range(18)
-        ]  # servos that each one's voltage is stored for
+        # Servos that each one's voltage is stored for.
+        self._of_supply = [rare if rare[index] else index for index in range(18)]
         self.temperature = np.full(18, np.nan)  # [deg C]
 
     def close(self) -> None:

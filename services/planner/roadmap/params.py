@@ -41,7 +41,7 @@ class GapCrossingParams(Params):
     lattice_m: float = ranged(0.01, 0.001, 0.1)  # [m] lattice of body places
     strong_cells: int = ranged(-2, -100, -1)  # [cells] evaluation function, up to which a sampled foothold is used unchanged
     wide_cells: int = ranged(-4, -100, -1)  # [cells] local minimum of the evaluation function, up to which ground is wide
-    central_cells: int = ranged(-5, -100, -1)  # [cells] evaluation function of footholds in the middle, searched first
+    central_cells: int = ranged(-5, -100, -1)  # [cells] evaluation function in the middle of ground, where feet are tried first
     weakest_cells: int = ranged(-1, -100, -1)  # [cells] highest local minimum to which a sampled foothold may move
     margin_m: float = ranged(0.03, 0.0, 0.2)  # [m] support margin: 2 cm, plus 1 cm for the error of the feet
     legs_apart_m: float = ranged(0.046, 0.0, 0.2)  # [m] between the centre lines of neighbouring legs

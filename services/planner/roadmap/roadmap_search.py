@@ -119,7 +119,7 @@ class Rules(NamedTuple):
     strong: int  # [cells] F up to which a place is taken unchanged
     wide: int  # [cells] F of a local minimum up to which ground is wide
     weakest: int  # [cells] weakest permitted F of a local minimum
-    central: int  # [cells] around a foothold, of which the lowest F is taken; 0 for none
+    central: int  # [cells] reach around a foothold in which the lowest F is taken, 0 for the foothold itself
     drift: float  # [m] Delta y
     depth: int  # maximum number of steps
     step_gain: float  # [m] progress of robot and feet in a step, for the cost to go
@@ -485,7 +485,10 @@ def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tu
 
 @compiled
 def _lowest(F: NDArray[np.int8], i: int, j: int, reach: int) -> tuple[int, int]:
-    """Return the nearest of the cells with the lowest F within a reach [cells] along both axes, so that no pit of F counts."""
+    """Return the cell with the lowest F within a reach [cells] along both axes, and of several the nearest.
+
+    Map noise makes shallow local minima near edges, where greedy descent ends.
+    """
     bi, bj, nearest = i, j, 0
     for a in range(max(i - reach, 0), min(i + reach + 1, F.shape[0])):
         for b in range(max(j - reach, 0), min(j + reach + 1, F.shape[1])):
