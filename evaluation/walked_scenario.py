@@ -11,7 +11,8 @@ from sextant.shared.files.config import ConfigError
 from sextant.shared.files.input_file import FileError, parse_json
 from sextant.shared.plugins.loading import Plugins
 from sextant.shared.recording.layout import SCENARIO
-from sextant.shared.scenario.scenario import Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.scenario.terrain import HeightMap
 
 if TYPE_CHECKING:

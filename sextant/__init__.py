@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sextant.shared.robot.kinematics import leg_inverse as leg_inverse
     from sextant.shared.robot.profile import RobotProfile as RobotProfile
     from sextant.shared.robot.profiles import load_profile as load_profile
-    from sextant.shared.scenario.scenario import load_scenario as load_scenario
+    from sextant.shared.scenario.loading import load_scenario as load_scenario
     from sextant.shared.wire.access import AccessError as AccessError
     from sextant.shared.wire.messages import TerrainMap as TerrainMap
     from sextant.shared.wire.messages import VelocityCommand as VelocityCommand
@@ -66,7 +66,7 @@ _HOMES = {
     "leg_inverse": "sextant.shared.robot.kinematics",
     "RobotProfile": "sextant.shared.robot.profile",
     "load_profile": "sextant.shared.robot.profiles",
-    "load_scenario": "sextant.shared.scenario.scenario",
+    "load_scenario": "sextant.shared.scenario.loading",
     "TerrainMap": "sextant.shared.wire.messages",
     "VelocityCommand": "sextant.shared.wire.messages",
 }

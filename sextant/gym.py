@@ -24,7 +24,8 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
-from sextant.shared.scenario.scenario import Scenario, Walk, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Scenario, Walk
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import (
     ActuatorState,

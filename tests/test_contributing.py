@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from sextant.services.planner.locomotion.gait import GAITS
-from sextant.shared.scenario import scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.servo.models import MODELS
 from sextant.shared.servo.servo_model import ServoModel
 
@@ -30,7 +30,7 @@ def test_named_make_target_exists(target: str) -> None:
 def test_named_extension_points_exist() -> None:
     assert all(isinstance(model, ServoModel) for model in MODELS)
     assert set(GAITS) == {"tripod", "ripple", "wave"}
-    assert scenario.load_scenario("flat").name == "flat"
+    assert load_scenario("flat").name == "flat"
 
 
 def test_citation_is_valid_yaml_with_package_version() -> None:

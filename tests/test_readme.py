@@ -219,8 +219,7 @@ def test_referenced_test_exists(test: str) -> None:
 
 
 def test_readme_scenarios_are_packaged() -> None:
-    from sextant.shared.scenario.family import load_family
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_family, load_scenario
 
     for words in README + GUIDES:
         if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in (

@@ -11,7 +11,7 @@ from sextant.evaluation.report import Report
 from sextant.services.actuator.config import ActuatorParams
 from sextant.services.planner.config import PlannerParams
 from sextant.shared.files.config import ConfigError, as_table
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import messages, topics
 
 ROOT = Path(__file__).parents[1]

@@ -17,7 +17,7 @@ WARM_UP = """
 from sextant.deploy.launch import warm_up
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import compile_progress, warm_up_mark
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 print(warm_up_mark.__file__, warm_up_mark.is_complete(whole=True))
 warm_up.compile_functions(load_profile(load_scenario("puddle").robot), "puddle")

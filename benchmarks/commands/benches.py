@@ -140,7 +140,7 @@ def bench_passage(seeds: range, out: str | None, as_json: bool) -> int:
 def bench_plans(scenario: tuple[str, ...], seeds: range, requests: int, planner: str, out: str | None, as_json: bool) -> int:
     """Compare step planners on the requests of lockstep walks: time, and whether the actuator accepts the steps."""
     from benchmarks.peers import step_plans, timing
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     courses = [load_scenario(name) for name in dict.fromkeys(scenario) or step_plans.COURSES]
     options.check_plugin("planner", planner)
@@ -158,7 +158,7 @@ def bench_plans(scenario: tuple[str, ...], seeds: range, requests: int, planner:
 def bench_cycle(scenario: str, seeds: range, cycles: int, out: str | None, as_json: bool) -> int:
     """Measure the computing time of the actuator's control cycle, standing and walking."""
     from benchmarks.robot import actuator_cycle
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     course = load_scenario(scenario)
     folder = out_folder(out, "bench-cycle")
@@ -178,7 +178,7 @@ def bench_cycle(scenario: str, seeds: range, cycles: int, out: str | None, as_js
 def bench_calibration(scenario: str, seeds: range, jobs: int, out: str | None, as_json: bool) -> int:
     """Calibrate simulated robots that differ from their profile, and compare with the truth."""
     from benchmarks.robot import calibration
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     load_scenario(scenario)  # a wrong name is reported before anything starts
     folder = out_folder(out, "bench-calibration")
@@ -196,7 +196,7 @@ def bench_calibration(scenario: str, seeds: range, jobs: int, out: str | None, a
 def bench_naming(scenarios: str, errors: str, seeds: range, jobs: int, out: str | None, as_json: bool) -> int:
     """Walk with one error of the camera or a horn, and count whether the robot names it and nothing else."""
     from benchmarks.robot import naming
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     courses, kinds = scenarios.split(","), errors.split(",")
     if unknown := sorted(set(kinds) - set(naming.KINDS)):
@@ -217,7 +217,7 @@ def bench_naming(scenarios: str, errors: str, seeds: range, jobs: int, out: str 
 def bench_slow_core(scenario: str, share: float, seed: int, out: str | None, as_json: bool) -> int:
     """Walk live while the actuator has only a share of a core, as on a slower computer; it needs root."""
     from benchmarks.robot import slow_core
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     load_scenario(scenario)  # a wrong name is reported before anything starts
     folder = out_folder(out, "bench-slow-core")
@@ -240,7 +240,7 @@ def bench_slow_core(scenario: str, share: float, seed: int, out: str | None, as_
 def bench_latency(scenario: str, runs: int, seed: int, out: str | None, as_json: bool) -> int:
     """Measure the time from a depth image to the plan that the legs execute, live."""
     from benchmarks.robot import latency
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     load_scenario(scenario)  # a wrong name is reported before anything starts
     folder, progress = out_folder(out, "bench-latency"), open_progress(as_json)
@@ -325,7 +325,7 @@ def bench_roles(messages: int, only: tuple[str, ...], lockstep: bool, seed: int,
 def bench_fleet(robots: int, course: str, out: str | None, as_json: bool) -> int:
     """Add robots to one base station until it is overloaded."""
     from benchmarks.robot import fleet
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     load_scenario(course)  # a wrong name is reported before anything starts
     folder, progress = out_folder(out, "bench-fleet"), open_progress(as_json)
@@ -353,7 +353,7 @@ def bench_link(walks: int, scenario: str, cuts: int, longest: float, seed: int, 
     """Walk with mapper and planner behind a radio with packet loss or outages."""
     from benchmarks.net_testbed.namespace import NetTestbedError
     from benchmarks.robot import link
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     load_scenario(scenario)  # a wrong name is reported before anything starts
     folder, progress = out_folder(out, "bench-link"), open_progress(as_json)

@@ -11,7 +11,8 @@ from benchmarks.faults.lockstep_walk import FaultWalk
 from benchmarks.faults.timeline import Status
 from sextant.shared.runtime.lockstep import ServiceFailedError
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.scenario.scenario import Fault, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Fault
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose
 

@@ -10,7 +10,7 @@ from benchmarks.faults import bus_sniffer
 from sextant.deploy.launch import process_table
 from sextant.deploy.launch.process_table import Command
 from sextant.deploy.security.router_security import Gate
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire.ports import free_port
 from sextant.shared.wire.transport import Endpoints
 

@@ -29,7 +29,7 @@ from sextant.deploy.security.router_security import Gate
 from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.recording.reader import files_of, newest_ns
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import Message, Mode, ModeCommand, RecordCommand
 from sextant.shared.wire.ports import free_port

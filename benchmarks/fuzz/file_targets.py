@@ -34,7 +34,7 @@ from sextant.shared.robot.description.profile_import import import_profile
 from sextant.shared.robot.description.robot_description import DescriptionError, RobotDescription, read_urdf
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime import process
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import access
 
 _NESTED = 0.8  # probability that the mutation goes into a nested table

@@ -13,7 +13,7 @@ import threading
 from sextant.evaluation.observers.operator import Operator
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.zenoh_runner import run_live
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire.transport import Endpoints, ZenohLink
 
 _LOOK_S = 0.2

@@ -9,7 +9,7 @@ from sextant.evaluation.lockstep.calibration_run import rehearse
 from sextant.evaluation.trials.statistics import wilson
 from sextant.services.perception.calibration.calibrated_robot import CalibrationError
 from sextant.shared.runtime.workers import share_out
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 _UNITS = {"x": (1e3, "mm"), "y": (1e3, "mm"), "z": (1e3, "mm"), "depth_error": (100.0, "%"), "time_offset_s": (1e3, "ms")}
 

@@ -20,7 +20,7 @@ from sextant.deploy.launch.fleet import Base, Fleet, Member, Page
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.evaluation.observers.progress import Progress
 from sextant.shared.files import whole_files
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire.ports import free_port
 
 SEED = 1003

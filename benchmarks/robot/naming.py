@@ -13,8 +13,8 @@ from sextant.shared.robot.profile import JOINTS, LEGS
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
 from sextant.shared.runtime.workers import share_out
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.mismatch import Deviation, Mismatch
-from sextant.shared.scenario.scenario import load_scenario
 from sextant.shared.wire import codec, topics
 
 KINDS = ("none", "pitch", "roll", "yaw", "height", "depth", "delay", "horn")  # of errors

@@ -62,7 +62,7 @@ def _rehearsed(name: str, robot: str, seed: int) -> "Rehearsal":
 
     from sextant.evaluation.lockstep.calibration_run import rehearse
     from sextant.shared.robot.profiles import base_profile
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     scenario = load_scenario(name)
     return rehearse(replace(scenario, robot=robot, real_robot=scenario.real_robot or base_profile(robot)), seed, say)

@@ -160,7 +160,7 @@ class Variant:
 
     def load(self, scenario: str) -> "Scenario":
         """Return a scenario, by name or TOML file, with these changes."""
-        from sextant.shared.scenario.scenario import load_scenario
+        from sextant.shared.scenario.loading import load_scenario
 
         return self.applied()(load_scenario(scenario))
 
@@ -268,7 +268,7 @@ variant = options_of(
 
 def scenarios(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
     """Return the names of scenarios that a shell can complete a word to."""
-    from sextant.shared.scenario.scenario import scenario_names
+    from sextant.shared.scenario.loading import scenario_names
 
     return [name for name in scenario_names() if name.startswith(incomplete)]
 

@@ -15,7 +15,7 @@ from sextant.shared.files import whole_files
 if TYPE_CHECKING:
     from sextant.evaluation.trials.cluster import Cluster
 
-_GROUPS = ("all", "passages", "troubles", "ways", "mild", "usual", "harsh")
+_GROUPS = ("all", "passages", "bridges", "troubles", "ways", "mild", "usual", "harsh")
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +182,7 @@ def _curve(
     """Find the difficulty curve of a family, and draw it."""
     from sextant.evaluation.trials import curve as curves
     from sextant.evaluation.trials.curve_picture import draw_curves
-    from sextant.shared.scenario.family import load_family
+    from sextant.shared.scenario.loading import load_family
 
     family = load_family(name)
     folder = out_folder(place.out, f"curve-{family.name}")

@@ -274,7 +274,7 @@ def _usual(launch: Launch) -> str:
 
 def _choices(launch: Launch, simulated: bool) -> "Choices":
     from sextant.deploy.launch.process_table import Choices, choices
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
     from sextant.shared.wire.ports import free_port
 
     robot = options.checked_robot(launch.robot)

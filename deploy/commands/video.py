@@ -134,7 +134,7 @@ def _ground(
     from sextant.evaluation.walked_scenario import walked_scenario
     from sextant.services.simulator.physics.terrain import build_terrain
     from sextant.shared.files.config import ConfigError
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     if not story.true:
         return None, None

@@ -69,7 +69,7 @@ def rehearse(
     """
     from sextant.evaluation.lockstep.lockstep_run import LockstepRun
     from sextant.shared.robot.profiles import load_profile
-    from sextant.shared.scenario.scenario import load_scenario
+    from sextant.shared.scenario.loading import load_scenario
 
     profile = load_profile(robot)
     run = LockstepRun(replace(load_scenario("flat"), robot=robot), 0, profile)

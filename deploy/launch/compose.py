@@ -21,7 +21,7 @@ from sextant.deploy.launch.process_table import (
 )
 from sextant.services.actuator.safety.torque_off_latch import SHARED
 from sextant.shared.files.config import ConfigError
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire.access import AUTHORITY, CERTIFICATE, KEY, ROLE
 from sextant.shared.wire.transport import Endpoints
 

@@ -16,7 +16,7 @@ from sextant.shared.runtime import compile_progress, warm_up_mark
 from sextant.shared.runtime.operating_system import usable_cores
 from sextant.shared.runtime.shutdown import end_with
 from sextant.shared.runtime.workers import share_out
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # with blocks, with a height field, and in colour
 _SERVICES = ("planner", "mapper", "perception", "simulator")  # from the one that compiles longest

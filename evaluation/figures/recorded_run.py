@@ -22,7 +22,7 @@ from sextant.shared.recording.layout import SCENARIO, RecordingError
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox, Stages
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import GroundTruth, TerrainMap
 

@@ -23,7 +23,7 @@ from sextant.shared.recording.reader import read
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.workers import share_out
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import TerrainMap
 

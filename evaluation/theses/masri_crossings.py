@@ -9,7 +9,7 @@ from sextant.evaluation.figures.walk_picture import LEG_COLORS
 from sextant.evaluation.theses import planner_table
 from sextant.evaluation.theses.data import Data
 from sextant.evaluation.theses.stills import draw_stills, stills, true_terrain
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.terrain import Pillars
 from sextant.shared.wire.messages import UNKNOWN
 

@@ -29,7 +29,7 @@ from sextant.shared.files.input_file import read_json
 from sextant.shared.geometry import Array, transform
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.stopwatch import stopwatch_ns
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 MASRI, SEXTANT, WHOLE = "Masri 2016", "Sextant", "Sextant, whole way"
 _MOST_SECTIONS = 6  # of one crossing

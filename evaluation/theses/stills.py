@@ -18,7 +18,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 _STEP_NS = 200_000_000  # [ns] between the places that the ground's colours are for
 _LIGHT = np.array([0.3, -0.5, -0.8])  # {camera} direction to the lamp: x right, y down, z forward

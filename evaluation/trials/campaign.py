@@ -10,7 +10,8 @@ from sextant.evaluation.trials.cluster import Cluster
 from sextant.evaluation.trials.trials import Batch, Runner, Trials, run_batches, to_json
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
-from sextant.shared.scenario.scenario import Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.scenario.terrain import HeightMap
 
 

@@ -40,6 +40,16 @@ PASSAGES: Mapping[str, str] = {
     "passage_tipping": "pillars that tip near their edges",
     "pillar_field": "pillars strewn by the seed, with a way or without",
 }
+# Bridges that turn, bend, rise and fall, or become narrow, with a description.
+BRIDGES: Mapping[str, str] = {
+    "turned_pillars@10": "rows of pillars, 10 deg aside",
+    "turned_pillars@20": "20 deg aside",
+    "turned_pillars@30": "30 deg aside",
+    "passage_bend": "in the shape of an S",
+    "uneven_pillars@0.04": "pillars 4 cm higher and lower in turn",
+    "pillar_width@0.07": "pillars of 7 cm",
+    "two_bridges": "two of 60 cm, 65 cm apart",
+}
 # Disturbances during the walk, and the courses on which they occur.
 TROUBLES: Mapping[str, str] = {
     "sun": "no depth for 10 s, twice",
@@ -62,7 +72,14 @@ WAYS: Mapping[str, str] = {
     "far_goal": "14 m ahead, ten over blocks",
     "loop": "30 m around a square and back",
 }
-GROUPS: Mapping[str, Mapping[str, str]] = {"all": WALKED, "passages": PASSAGES, "troubles": TROUBLED, "ways": WAYS, **LEVELS}
+GROUPS: Mapping[str, Mapping[str, str]] = {
+    "all": WALKED,
+    "passages": PASSAGES,
+    "bridges": BRIDGES,
+    "troubles": TROUBLED,
+    "ways": WAYS,
+    **LEVELS,
+}
 _NAMED: Mapping[str, str] = {name: words for group in GROUPS.values() for name, words in group.items()}
 _OWN = {"foothold": "Sextant's foothold rule", "planner": "Sextant's step planner", "registration": "Sextant's registration"}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell

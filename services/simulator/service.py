@@ -38,8 +38,9 @@ from sextant.shared.runtime.clock import in_use
 from sextant.shared.runtime.lateness import BEAT
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.runtime.simulated_time import SimulatedTime
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.mover import Mover
-from sextant.shared.scenario.scenario import Fault, Scenario, load_scenario
+from sextant.shared.scenario.scenario import Fault, Scenario
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick

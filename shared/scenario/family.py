@@ -6,16 +6,13 @@ A family is read from TOML. Its scenario is complete; at each point, the values 
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
 from sextant.shared.files import config
 from sextant.shared.scenario.scenario import Scenario
-from sextant.shared.spelling import hint
 
 _MOST_POINTS = 100
-_FOLDER = "sextant.shared.scenario.families"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +58,7 @@ class Family:
         table = deepcopy(self.scenario)
         for one in self.depends:
             _put(table, one.key, one.offset + one.factor * value, name)
-        made = config.build({"name": f"{name} {value:g}"} | table, Scenario, f"family {name} at {value:g}")
+        made = config.build({"name": f"{name}@{value:g}"} | table, Scenario, f"family {name} at {value:g}")
         return replace(made, folder=str(folder.resolve()))
 
 
@@ -76,30 +73,6 @@ class NamedFamily:
     def at(self, value: float) -> Scenario:
         """Return the scenario at a value of the parameter; see `Family.at`."""
         return self.family.at(value, self.name, self.folder)
-
-
-def load_family(name_or_path: str) -> NamedFamily:
-    """Read a bundled family by name, or another one by the path of its TOML file.
-
-    Raises:
-        ConfigError: The family does not exist, or it or one of its scenarios is invalid.
-    """
-    path = Path(name_or_path)
-    if not name_or_path.endswith(".toml"):
-        known = family_names()
-        if name_or_path not in known:
-            ways = f"{hint(name_or_path, known)}; or give a path that ends in .toml"
-            raise config.ConfigError("family", [f"no family of scenarios {name_or_path[:60]!r}; {ways}"])
-        path = Path(str(resources.files(_FOLDER) / f"{name_or_path}.toml"))
-    found = NamedFamily(path.stem, config.load(path, Family), path.parent)
-    for value in found.family.values:
-        found.at(value)
-    return found
-
-
-def family_names() -> list[str]:
-    """Return the names of the bundled families."""
-    return sorted(one.name.removesuffix(".toml") for one in resources.files(_FOLDER).iterdir() if one.name.endswith(".toml"))
 
 
 def check_values(values: Sequence[float]) -> None:

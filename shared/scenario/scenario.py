@@ -6,11 +6,8 @@ The services that control the robot never read a scenario. The simulator builds 
 against it, and the launcher sends its goal and speed to the planner as an operator would.
 """
 
-import difflib
 import re
 from dataclasses import dataclass, field, replace
-from importlib import resources
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,10 +17,9 @@ from sextant.shared.files.config import bounded, expect
 from sextant.shared.plugins.loading import Plugins
 from sextant.shared.scenario.mismatch import Deviation, Mismatch
 from sextant.shared.scenario.mover import Mover
-from sextant.shared.scenario.scale import scale_of, scaled_table, suffix_of
+from sextant.shared.scenario.scale import scaled_table, suffix_of
 from sextant.shared.scenario.terrain import HeightMap, Terrain
 from sextant.shared.servo.bus_fault import BusFault
-from sextant.shared.spelling import hint
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import GaitRequest
 
@@ -294,9 +290,9 @@ class Scenario:
 
     def __post_init__(self) -> None:
         # The name is also the name of the run's folder.
-        plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.+-]*", self.name) is not None and ".." not in self.name
+        plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.+@-]*", self.name) is not None and ".." not in self.name
         expect(len(self.name) <= 100, "a name of at most 100 characters", len(self.name))
-        expect(plain, "a name of letters, digits, spaces, dots, dashes, plus signs and underscores", repr(self.name))
+        expect(plain, "a name of letters, digits, spaces, dots, dashes, plus signs, at signs and underscores", repr(self.name))
         if not self.terrain:
             raise ValueError('at least one terrain primitive expected, found none; add [[terrain]] with kind = "plane"')
         expect(self.time_limit_s > 0, "a time limit greater than 0 s", self.time_limit_s)
@@ -343,66 +339,3 @@ class Scenario:
             raise config.ConfigError(f"scenario {name}", [str(error)]) from None
         table = scaled_table(replace(self, terrain=ground), scale)
         return config.build(table | {"name": name}, Scenario, f"scenario {name}")
-
-
-def load_scenario(name_or_path: str) -> Scenario:
-    """Read a bundled scenario by name, or another one by the path of its TOML file.
-
-    The name of a trouble may follow: `steps+sun` is the scenario `steps` with the trouble `sun` added. So may a scale:
-    `steps+x0.85` has 0.85 of its lengths and speeds.
-
-    Raises:
-        ConfigError: The scenario does not exist, or is invalid; the text lists all errors.
-    """
-    course, plus, added = name_or_path.rpartition("+")
-    if plus and course and "/" not in added:
-        scenario, scale = load_scenario(course), scale_of(added)
-        if scale is not None:
-            return scenario.scaled(scale)
-        return scenario.with_trouble(load_trouble(added), f"{scenario.name}+{added}")
-    if name_or_path.endswith(".toml"):
-        return _with_folder(config.load(Path(name_or_path), Scenario), Path(name_or_path).parent)
-    known = scenario_names()
-    if name_or_path not in known:
-        ways = f"{hint(name_or_path, known)}; or give a path that ends in .toml"
-        raise config.ConfigError("scenario", [f"no scenario {name_or_path[:60]!r}; {ways}"])
-    with resources.as_file(resources.files("sextant.shared.scenario.scenarios") / f"{name_or_path}.toml") as path:
-        return _with_folder(config.load(path, Scenario), path.parent)
-
-
-def scenario_names() -> list[str]:
-    """Return the names of the bundled scenarios."""
-    return _names("sextant.shared.scenario.scenarios")
-
-
-def trouble_names() -> list[str]:
-    """Return the names of the bundled troubles."""
-    return _names("sextant.shared.scenario.troubles")
-
-
-def load_trouble(name: str) -> Trouble:
-    """Read a bundled trouble by its name.
-
-    Raises:
-        ConfigError: The trouble does not exist, or is invalid; the text lists all errors.
-    """
-    known = trouble_names()
-    if name not in known:
-        near = difflib.get_close_matches(name, known, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        words = f"no trouble {name!r}; {hint}known: {', '.join(known)}; or a scale such as x0.85"
-        raise config.ConfigError("trouble", [words])
-    with resources.as_file(resources.files("sextant.shared.scenario.troubles") / f"{name}.toml") as path:
-        return config.load(path, Trouble)
-
-
-def _names(package: str) -> list[str]:
-    files = resources.files(package).iterdir()
-    return sorted(p.name.removesuffix(".toml") for p in files if p.name.endswith(".toml"))
-
-
-def _with_folder(scenario: Scenario, folder: Path) -> Scenario:
-    if scenario.plugins != Plugins():
-        words = "no [plugins] expected, because a scenario is data and a plug-in is code; name plug-ins on the command line"
-        raise config.ConfigError(scenario.name, [words])
-    return replace(scenario, folder=str(folder.resolve()))

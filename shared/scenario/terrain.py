@@ -132,6 +132,8 @@ class Pillars:
     kind: Literal["pillars"] = "pillars"
     length: float = 0.0  # [m] edge of the tops along x; 0 for square tops
     depth: float = 0.5  # [m] extent downward from the top
+    turn_deg: float = 0.0  # [deg] turn of all pillars together about the pivot, to the left
+    pivot: tuple[float, float] = (0.0, 0.0)  # [m] point about which they turn
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
     jitter: float = 0.0  # [m] maximum random displacement of each pillar along each axis
     top_spread: float = 0.0  # [m] maximum random offset of the top of each pillar, of either sign
@@ -147,10 +149,12 @@ class Pillars:
     tip_mass: float = 0.2  # [kg] of its box
     tip_deg: float = 80.0  # [deg] largest angle of its box; where it has overturned, it stays
 
-    lengths = "xy size top length depth jitter top_spread sinks bears_within tip_height"
+    lengths = "xy size top length depth pivot jitter top_spread sinks bears_within tip_height"
     checks = (
         config.together("xy", lambda xy: len(xy) <= 5000, "at most 5000 pillars"),
         config.together("xy", lambda xy: all(max(map(abs, one)) <= 1000 for one in xy), "places within 1000 m"),
+        config.together("pivot", lambda pivot: max(map(abs, pivot)) <= 1000, "a place within 1000 m"),
+        *bounded("turn_deg", 360, "deg"),
         *bounded("size length jitter", 1000, "m"),
         *bounded("top depth top_spread sinks", 100, "m"),
         *bounded("bears", 1e6, "N"),

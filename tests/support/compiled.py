@@ -10,7 +10,7 @@ import sys
 from sextant.deploy.launch.warm_up import compile_functions
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 WARMED_UP = (
     "sextant.services.perception",

@@ -15,7 +15,8 @@ from sextant.services.simulator.sensors.gray_camera import GrayCamera
 from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import Array, from_xyz_rpy, inverse
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Floor, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Floor
 
 CAMERA = load_profile("phantomx_mk2_rgbd").camera
 PERIOD_NS = 66_000_000

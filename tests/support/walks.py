@@ -12,7 +12,8 @@ from sextant.evaluation.report import Report
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Service
-from sextant.shared.scenario.scenario import Goal, Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
 from sextant.shared.scenario.terrain import Plane
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import ActuatorState, Message, PlannerStatus, TerrainMap

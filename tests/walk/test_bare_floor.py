@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from sextant.shared.geometry import yaw_of
-from sextant.shared.scenario.scenario import Goal, Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
 from sextant.shared.wire import topics
 from tests.support.walks import Walk, walk
 

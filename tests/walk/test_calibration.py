@@ -9,7 +9,7 @@ from benchmarks import cli as benchmarks
 from sextant.deploy.cli import main
 from sextant.services.perception.calibration import survey
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 
 def test_command_calibrates_a_simulated_robot_into_its_own_file(

@@ -10,7 +10,7 @@ import pytest
 import sextant
 from sextant.client import Client, Commander, Status
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire.messages import Goal, Mode, PostureCommand, VelocityCommand
 
 ROOT = Path(__file__).parents[2]

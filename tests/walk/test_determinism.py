@@ -13,7 +13,7 @@ import pytest
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun, run_lockstep
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import topics
 from tests.support.walks import Heard, S
 

@@ -8,7 +8,8 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
-from sextant.shared.scenario.scenario import Goal, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal
 
 _TWO_STEPS = """
 name = "two-steps"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sextant.evaluation.report import as_table, check
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode
 from tests.support.walks import walk

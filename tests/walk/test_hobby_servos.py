@@ -10,7 +10,7 @@ from sextant.services.simulator.service import Simulator
 from sextant.services.simulator.servo_bus.pulse_board import PulseBoardEmulator
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.servo.bus_fault import BusFault
 from sextant.shared.servo.pwm import TABLE, Board
 from sextant.shared.wire import topics

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.mismatch import Mismatch
-from sextant.shared.scenario.scenario import load_scenario
 
 CORRECTS = {"actuator": {"correct_horns": True}}
 

@@ -10,7 +10,7 @@ import pytest
 from sextant.evaluation.figures.thesis_figures import TESTS, Measured
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 _LOOK_NS = 500_000_000
 

@@ -1,7 +1,7 @@
 """Walks of robots that differ from their profile."""
 
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 
 def test_robot_with_usual_deviations_walks_over_steps() -> None:

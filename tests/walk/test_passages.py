@@ -12,7 +12,8 @@ import pytest
 from sextant.services.planner.gap_crossing.strip_survey import STRIP, TURNING_WIDTH
 from sextant.shared.geometry import yaw_of
 from sextant.shared.scenario.course import Course, Gap, Level
-from sextant.shared.scenario.scenario import Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.scenario.terrain import Box, Pillars, Plane
 from sextant.shared.wire import topics
 from tests.support.walks import walk

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sextant.shared.scenario.scenario import Goal, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal
 from sextant.shared.scenario.terrain import Plane, Puddle
 from tests.support.walks import blocked, walk
 

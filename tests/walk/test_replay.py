@@ -14,7 +14,7 @@ from sextant.evaluation.replay.tum_recording import record_tum
 from sextant.services.perception import tum
 from sextant.shared.geometry import apply
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 ROOT = Path(__file__).parents[2]
 WALKED_S = 7.0  # [s] the robot stands up for two and a half

@@ -23,7 +23,7 @@ from sextant.shared.recording.reader import Recording
 from sextant.shared.recording.writer import Recorder
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import BodyPose, Message, Scan, TerrainMap
 

@@ -8,8 +8,8 @@ from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.robot.new_profile import Measures, new_profile
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.scale import leg_scale
-from sextant.shared.scenario.scenario import load_scenario
 from tests.support.families import FAMILIES, mixed_robot, robot_with
 
 _LOOK_NS = 500_000_000

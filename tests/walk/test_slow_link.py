@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
-from sextant.shared.scenario.scenario import Goal, Link, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Link
 
 
 def test_run_over_late_link_reports_link_as_reason() -> None:

@@ -10,7 +10,7 @@ from rich.console import Console
 from sextant.deploy.terminal.progress import table
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.slow
 WIDTH = 100  # [characters]

@@ -31,7 +31,7 @@ from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import LEGS
 from sextant.shared.runtime.lockstep import Lockstep
 from sextant.shared.runtime.service import AnyTopic
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import MAX_FOOTHOLD_SCORE, UNKNOWN, TerrainMap
 from tests.support import thesis_grounds as things

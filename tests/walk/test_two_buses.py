@@ -8,7 +8,7 @@ import pytest
 
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profile_text import write_new_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Mode
 from tests.support.families import command_robot, two_bus_robot

@@ -13,7 +13,8 @@ from sextant.evaluation.lockstep.lockstep_run import LockstepRun, run_lockstep
 from sextant.evaluation.report import check
 from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Goal, Walk, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Walk
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, ModeCommand
 from tests.support.walks import LOOK_NS, Heard, S, flat

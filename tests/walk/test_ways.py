@@ -4,7 +4,7 @@ import pytest
 
 from sextant.evaluation.lockstep.lockstep_run import run_lockstep
 from sextant.evaluation.trials.campaign_table import WAYS
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 LENGTHS = {"far_goal": 14.0, "loop": 30.0}  # [m] of the way
 

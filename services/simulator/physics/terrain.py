@@ -485,13 +485,15 @@ def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> tuple[W
         xy += rng.uniform(-pillars.jitter, pillars.jitter, xy.shape)
     if pillars.top_spread:
         tops += rng.uniform(-pillars.top_spread, pillars.top_spread, len(tops))
+    yaw = float(np.radians(pillars.turn_deg))
+    xy = pillars.pivot + (xy - pillars.pivot) @ rotation_z(yaw)[:2, :2].T
     size, bottom, first = (pillars.length or pillars.size, pillars.size), pillars.top - pillars.depth, len(heap.centre)
     chosen = rng.permutation(len(xy)) if pillars.weak or pillars.tipping else np.zeros(0, dtype=np.intp)
     weak, tipping = np.sort(chosen[: pillars.weak]), np.sort(chosen[pillars.weak :][: pillars.tipping])
     for k, (place, top) in enumerate(zip(xy, tops.tolist(), strict=True)):
-        heap.add(place, size, top, top - pillars.tip_height if k in tipping else bottom)
+        heap.add(place, size, top, top - pillars.tip_height if k in tipping else bottom, yaw)
     for k in tipping.tolist():
-        heap.add(xy[k], (2 * pillars.bears_within,) * 2, float(tops[k]) - pillars.tip_height, bottom)
+        heap.add(xy[k], (2 * pillars.bears_within,) * 2, float(tops[k]) - pillars.tip_height, bottom, yaw)
     n = len(tipping)
     return (
         Weak(first + weak, np.full(len(weak), pillars.bears), np.full(len(weak), pillars.sinks)),

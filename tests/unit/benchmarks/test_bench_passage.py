@@ -9,7 +9,7 @@ from benchmarks.peers.passage_strips import GAP, thesis_blocks
 from sextant.shared.robot.kinematics import leg_inverse
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.course import Course, Gap
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.terrain import Pillars
 
 

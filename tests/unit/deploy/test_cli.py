@@ -25,7 +25,8 @@ from sextant.deploy.terminal.run_command import run_command
 from sextant.evaluation.lockstep import lockstep_run
 from sextant.evaluation.report import Report, write
 from sextant.evaluation.trials import environment, results_store, trials
-from sextant.shared.scenario.scenario import Scenario, Walk, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Scenario, Walk
 from sextant.shared.wire.codec import schema_id
 from sextant.shared.wire.messages import ActuatorState, GaitName, Mode, schema
 from sextant.shared.wire.topics import TOPICS
@@ -463,7 +464,7 @@ def test_trials_troubles_table_covers_each_trouble_and_terrain(
 ) -> None:
     from sextant.evaluation.lockstep import lockstep_run
     from sextant.evaluation.trials import campaign_table
-    from sextant.shared.scenario.scenario import load_trouble, trouble_names
+    from sextant.shared.scenario.loading import load_trouble, trouble_names
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name))
     assert cli.main(["trials", "troubles", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
@@ -493,8 +494,9 @@ def test_trials_of_a_level_walk_every_terrain_with_its_deviations(
     assert all(f"| `{name}+usual` | 2 of 2" in printed for name in campaign_table.WALKED)
 
 
-def test_trials_of_ways_walk_each_of_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("group", ["ways", "bridges"])
+def test_trials_of_group_walk_each_of_its_scenarios(
+    group: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sextant.deploy.commands.trials import _GROUPS
     from sextant.evaluation.lockstep import lockstep_run
@@ -504,9 +506,9 @@ def test_trials_of_ways_walk_each_of_them(
     monkeypatch.setattr(
         lockstep_run, "run_lockstep", lambda course, seed, *_: replace(report(True, seed), scenario=course.name)
     )
-    assert cli.main(["trials", "ways", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
+    assert cli.main(["trials", group, "--seeds", "5:7", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    assert all(f"| `{name}` | 2 of 2" in printed for name in campaign_table.WAYS)
+    assert all(f"| `{name}` | 2 of 2" in printed for name in campaign_table.GROUPS[group])
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,8 @@ from sextant.shared.recording.reader import Recording
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.process import load_settings
 from sextant.shared.runtime.service import Service
-from sextant.shared.scenario.scenario import MapOptions, Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import MapOptions, Scenario
 from sextant.shared.wire.transport import Endpoints
 
 FLAT = load_scenario("flat")

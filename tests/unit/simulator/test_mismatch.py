@@ -13,8 +13,9 @@ from sextant.shared.geometry import Array, apply
 from sextant.shared.robot.kinematics import body_inverse, leg_forward
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.mismatch import PATCH_EDGE_M, Deviation, Mismatch
-from sextant.shared.scenario.scenario import CameraOptions, Goal, Scenario, Variation, load_scenario
+from sextant.shared.scenario.scenario import CameraOptions, Goal, Scenario, Variation
 from sextant.shared.scenario.terrain import Plane
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.wire.messages import DepthImage, Imu, Message, Tick

@@ -11,7 +11,8 @@ from sextant.evaluation import report as reports
 from sextant.evaluation.observers.run_observers import RunObservers
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
-from sextant.shared.scenario.scenario import Fault, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Fault
 from sextant.shared.wire import topics
 from sextant.shared.wire.messages import Message, ModeCommand, Tick
 

@@ -8,7 +8,7 @@ from sextant.evaluation.figures import passage_picture
 from sextant.evaluation.figures.passage_picture import stance_at_end
 from sextant.evaluation.figures.summary import verdict
 from sextant.evaluation.observers.run_observers import RunObservers
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.scenario.terrain import Pillars
 
 PASSAGE = load_scenario("passage2")

@@ -14,7 +14,7 @@ from sextant.shared.files.config import ConfigError
 from sextant.shared.recording.layout import RecordingError
 from sextant.shared.recording.reader import Recording
 from sextant.shared.recording.writer import Recorder
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, TerrainMap
 

@@ -4,7 +4,7 @@ import pytest
 from sextant.evaluation.figures import walk_picture
 from sextant.evaluation.figures.thesis_figures import TESTS, Measured, Published, side_by_side
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 
 def test_thesis_scenarios_use_thesis_robot_stride_and_height():

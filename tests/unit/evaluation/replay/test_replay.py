@@ -24,7 +24,8 @@ from sextant.shared.recording.writer import Recorder
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import AnyTopic, Inbox, ServiceRunner, Stages
-from sextant.shared.scenario.scenario import MapOptions, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import MapOptions
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
 

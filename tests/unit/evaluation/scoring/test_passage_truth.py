@@ -13,7 +13,8 @@ from sextant.evaluation.scoring.passage_truth import decided_by_seed, gap_begins
 from sextant.evaluation.trace.course import Course
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Goal, Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
 from sextant.shared.scenario.terrain import PillarField, Plane
 
 PROFILE = load_profile("phantomx_mk2")

@@ -13,7 +13,7 @@ from sextant.evaluation.theses.data import Data
 from sextant.evaluation.theses.inventory import Entry, Thesis, numbers
 from sextant.evaluation.theses.lotriet import LOTRIET
 from sextant.evaluation.theses.masri import MASRI
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 THESES = (MASRI, LOTRIET)
 COMPUTED = [(thesis, entry) for thesis in THESES for entry in thesis.entries if entry.draw is not None and not entry.walks]

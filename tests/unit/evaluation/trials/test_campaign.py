@@ -8,7 +8,7 @@ import pytest
 
 from sextant.evaluation.report import HeightError, Report, Slip, Spread, Torque, as_table
 from sextant.evaluation.trials import campaign, campaign_table, environment, results_store, trials
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 
 def _report(scenario, seed):

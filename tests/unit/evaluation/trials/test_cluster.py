@@ -11,7 +11,8 @@ from sextant.deploy import cli
 from sextant.evaluation.trials import campaign, environment, results_store, trials
 from sextant.evaluation.trials import cluster as clusters
 from sextant.shared.plugins.loading import Plugins
-from sextant.shared.scenario.scenario import Goal, Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
 from sextant.shared.scenario.terrain import HeightMap, Plane
 from tests.support import cluster_tasks as tasks
 

@@ -9,7 +9,7 @@ from sextant.deploy import cli
 from sextant.evaluation.report import Report
 from sextant.evaluation.trials import curve as curves
 from sextant.evaluation.trials.curve_picture import draw_curves
-from sextant.shared.scenario.family import load_family
+from sextant.shared.scenario.loading import load_family
 
 RISER = load_family("riser")
 AT = (0.02, 0.04, 0.06, 0.08)
@@ -77,7 +77,7 @@ def test_interrupted_curve_goes_on_and_takes_further_points(tmp_path):
     assert len(runner.ran) == 10
     more = Runner()
     curves.run_curve(RISER, range(1000, 1004), 1, tmp_path, (0.02, 0.05, 0.08), run=more)
-    assert Counter(name for name, _ in more.ran) == {"riser 0.05": 4}
+    assert Counter(name for name, _ in more.ran) == {"riser@0.05": 4}
     assert [point.value for point in found.points] == list(AT)
 
 

@@ -9,7 +9,7 @@ from sextant.evaluation.report import ARRIVED, FootholdEdge, Passage, Report, Se
 from sextant.evaluation.trials import campaign_table, passage_table, results_store, trials
 from sextant.evaluation.trials.passage_table import THESIS
 from sextant.evaluation.trials.results_store import Run
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 
 def section(seed, number, state="partial"):

@@ -16,7 +16,7 @@ from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.geometry import Array, from_xyz_rpy
 from sextant.shared.recording.layout import RecordingError
 from sextant.shared.recording.writer import Recorder
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.wire import codec, topics
 from sextant.shared.wire.messages import BodyPose, GroundTruth, Message, TerrainMap
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from sextant.shared.files import config
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Scenario, load_scenario, scenario_names
+from sextant.shared.scenario.loading import load_scenario, scenario_names
+from sextant.shared.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from sextant.plugins import ElevationMap
 from sextant.shared.files.config import ConfigError
 from sextant.shared.plugins.loading import Plugin, PluginError, Plugins, load
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from tests.support import plugins
 
 HERE = "tests.support.plugins"

@@ -11,7 +11,7 @@ from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.files.config import ConfigError
 from sextant.shared.recording.grid_map import TYPE, read_grid_map
 from sextant.shared.recording.layout import RecordingError
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 
 RESOLUTION = 0.25
 POSITION = np.array([1.5, -2.0])  # [m] centre of the map

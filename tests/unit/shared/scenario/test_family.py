@@ -10,7 +10,8 @@ import pytest
 
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.files.config import ConfigError
-from sextant.shared.scenario.family import check_values, family_names, load_family
+from sextant.shared.scenario.family import check_values
+from sextant.shared.scenario.loading import family_names, load_family, load_scenario
 
 ROOT = Path(__file__).parents[4]
 OWN = """about = "a step"
@@ -63,7 +64,7 @@ def test_values_of_the_parameter_are_put_into_the_scenario(tmp_path):
     path.write_text(OWN)
     found = load_family(str(path))
     scenario = found.at(0.05)
-    assert (scenario.name, scenario.terrain[1].top, scenario.folder) == ("step 0.05", pytest.approx(0.06), str(tmp_path))
+    assert (scenario.name, scenario.terrain[1].top, scenario.folder) == ("step@0.05", pytest.approx(0.06), str(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -82,6 +83,29 @@ def test_invalid_family_is_refused(tmp_path, old, new, words):
     path.write_text(OWN.replace(old, new))
     with pytest.raises(ConfigError, match=re.escape(words)):
         load_family(str(path))
+
+
+def test_family_at_a_value_is_a_scenario(tmp_path):
+    path = tmp_path / "step@home.toml"
+    path.write_text(OWN)
+    assert load_scenario("riser@0.05").terrain == load_family("riser").at(0.05).terrain
+    assert load_scenario("riser@0.05").name == "riser@0.05"
+    assert load_scenario("cross_slope@10+x0.9").name == "cross_slope@10+x0.9"
+    assert load_scenario(f"{path}@0.07").terrain[1].top == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("riser@", "a value of the family's parameter after the @ expected, such as riser@0.05, found ''"),
+        ("riser@nan", "such as riser@0.05, found 'nan'"),
+        ("risr@0.05", "no family of scenarios 'risr'; did you mean 'riser'"),
+        ("riser@-5000", "family riser at -5000"),
+    ],
+)
+def test_value_or_family_that_does_not_exist_is_refused(name, words):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        load_scenario(name)
 
 
 def test_unknown_family_is_refused_with_the_nearest_name():

@@ -15,9 +15,10 @@ from sextant.shared.field_comments import comments_of, parse
 from sextant.shared.files import config
 from sextant.shared.robot.profile import LegLinks
 from sextant.shared.robot.profiles import load_profile
+from sextant.shared.scenario.loading import load_scenario, scenario_names
 from sextant.shared.scenario.mismatch import Mismatch
 from sextant.shared.scenario.scale import leg_scale, unscaled_name
-from sextant.shared.scenario.scenario import Scenario, load_scenario, scenario_names
+from sextant.shared.scenario.scenario import Scenario
 from sextant.shared.scenario.terrain import HeightMap
 
 SCALES = (0.5, 0.85, 1.11)

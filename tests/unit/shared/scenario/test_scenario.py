@@ -12,7 +12,8 @@ import pytest
 from sextant.shared.files import config
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.course import Course, Level
-from sextant.shared.scenario.scenario import Fault, Goal, Scenario, load_scenario, load_trouble, scenario_names, trouble_names
+from sextant.shared.scenario.loading import load_scenario, load_trouble, scenario_names, trouble_names
+from sextant.shared.scenario.scenario import Fault, Goal, Scenario
 from sextant.shared.scenario.terrain import Box, Hole, Plane, Rubble, Stairs
 
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}

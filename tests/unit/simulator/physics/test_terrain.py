@@ -16,7 +16,8 @@ from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.course import Blocks, Course, Flight, Gap, Level, Ramp, Stones
-from sextant.shared.scenario.scenario import Goal, Scenario, load_scenario, scenario_names
+from sextant.shared.scenario.loading import load_scenario, scenario_names
+from sextant.shared.scenario.scenario import Goal, Scenario
 from sextant.shared.scenario.terrain import (
     Box,
     HeightMap,
@@ -122,6 +123,16 @@ def test_pillar_positions_follow_seed_within_jitter_and_spread() -> None:
     assert 0.008 < np.abs(off).max() <= 0.01
     assert 0.02 < np.abs(top).max() <= 0.03
     np.testing.assert_allclose(boxes.centre[:, 2] - boxes.half[:, 2], -0.4)  # all stand on one floor
+
+
+def test_pillars_turn_together_about_their_pivot() -> None:
+    straight = Pillars(((1.0, 0.2), (1.3, -0.2)), 0.1, 0.0, length=0.2, depth=0.4, jitter=0.01, tipping=1)
+    turned = replace(straight, turn_deg=90.0, pivot=(0.8, 0.0))
+    boxes, about = build(straight, seed=3).boxes, build(turned, seed=3).boxes
+    away = boxes.centre[:, :2] - (0.8, 0.0)
+    np.testing.assert_allclose(about.centre[:, :2], np.stack([0.8 - away[:, 1], away[:, 0]], axis=1), atol=1e-12)
+    np.testing.assert_allclose(about.R @ [1.0, 0.0, 0.0], [[0.0, 1.0, 0.0]] * len(about.R), atol=1e-12)
+    np.testing.assert_array_equal(about.half, boxes.half)
 
 
 def test_pillar_field_density_follows_seed_and_pillars_keep_gap() -> None:
@@ -531,16 +542,17 @@ def test_scenario_sketch_matches_terrain_from_above(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in scenario_names() if name.startswith(("passage", "pillar_field"))])
 def test_gap_has_no_ground_outside_the_passage_lane(name: str) -> None:
     course = load_scenario(name)
+    end = 0.8 + sum(gap.length for part in course.terrain if isinstance(part, Course) for gap in part.stretches[1:2])
     for seed in range(1000, 1010):
         terrain = build_terrain(course, np.random.default_rng([seed, 0]))
-        x = np.arange(0.0, 2.3, 0.005)
+        x = np.arange(0.0, 2.6, 0.005)
         lanes = [terrain.height_at(np.column_stack([x, np.full(len(x), y)])) for y in np.arange(-0.6, 0.6, 0.01)]
         carries = np.array(lanes) > -0.1
         assert carries[:, x < 0.8].all()
-        assert carries[:, x > 1.6].all()
+        assert carries[:, x > end].all()
         assert np.array(lanes)[~carries].max() <= -0.3
-        beyond = np.abs(np.arange(-0.6, 0.6, 0.01)) > 0.45
-        assert not carries[np.ix_(beyond, (x > 0.805) & (x < 1.595))].any()
+        beyond = np.abs(np.arange(-0.6, 0.6, 0.01)) > 0.48
+        assert not carries[np.ix_(beyond, (x > 0.805) & (x < end - 0.005))].any()
 
 
 def test_rubble_exceeding_area_is_refused_without_placement(monkeypatch: pytest.MonkeyPatch) -> None:

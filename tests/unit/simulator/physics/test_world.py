@@ -13,7 +13,8 @@ from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.robot.stability import centre_of_mass
-from sextant.shared.scenario.scenario import Goal, Scenario, Variation, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Scenario, Variation
 from sextant.shared.scenario.terrain import Patches, Pillars, Plane, Rubble, Slope
 
 NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))

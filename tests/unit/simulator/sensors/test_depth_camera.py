@@ -9,7 +9,8 @@ from sextant.services.simulator.sensors.renderer import Renderer
 from sextant.shared.geometry import from_xyz_rpy
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import Goal, Scenario, load_scenario
+from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.scenario import Goal, Scenario
 from sextant.shared.scenario.terrain import Pillars
 
 PROFILE = load_profile("phantomx_mk2")

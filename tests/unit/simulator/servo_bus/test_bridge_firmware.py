@@ -18,7 +18,7 @@ from sextant.services.simulator.servo_bus.host_link import Reply
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank
 from sextant.shared.files.config import ConfigError
 from sextant.shared.robot.profiles import load_profile
-from sextant.shared.scenario.scenario import load_scenario
+from sextant.shared.scenario.loading import load_scenario
 from sextant.shared.servo import bridge_protocol
 from sextant.shared.servo import dynamixel as dxl
 from sextant.shared.servo.bridge_protocol import Message, Mode, Receiver, Refusal, Result
