@@ -6,15 +6,21 @@ from typing import Protocol
 import numpy as np
 
 from sextant.services.planner.gap_crossing.plan_message import make_plan_message
-from sextant.services.planner.roadmap.roadmap import NoSection, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap import Middle, NoSection, SectionPlan, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import PassagePlan
 
-ATTEMPTS = 9  # attempts to plan a section: one with feet only in the middle of ground, then others, each with other samples
+ATTEMPTS = 11  # attempts to plan a section, each with other samples
+_MIDDLES = (Middle(1, True), Middle(0, True), Middle(0, False))  # where feet stand in the first attempts; later, on all ground
 PLANNINGS = 3  # maximum number of plannings at one place
 _PER_TICK = 4_000  # expansions per actuator message, 25 messages a second: 100 000 a second, the capacity of a core
 _SAME_PLACE = 0.03  # [m] radius of one place of the body
+
+
+def middle_of(attempt: int) -> Middle | None:
+    """Return the `middle` of `Roadmap.begin` for an attempt, which count from 1."""
+    return _MIDDLES[attempt - 1] if attempt <= len(_MIDDLES) else None
 
 
 class SectionPlanner(Protocol):
@@ -25,7 +31,7 @@ class SectionPlanner(Protocol):
         """Return the tree, (n, 2, 3) [m] {strip}."""
         ...
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, central: bool) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, middle: Middle | None) -> None:
         """Start a new search."""
         ...
 
@@ -77,8 +83,8 @@ class SectionSearch:
             self.section, self._attempt = self.section + 1, 0
         self._attempt += 1
         self._goal_x, self._planning_ns, self.is_running = goal_x, 0, True
-        seed, central = ATTEMPTS * self.section + self._attempt, self._attempt == 1
-        self._roadmap.begin(field, root, goal_x, seed, self.turns, central)
+        seed, middle = ATTEMPTS * self.section + self._attempt, middle_of(self._attempt)
+        self._roadmap.begin(field, root, goal_x, seed, self.turns, middle)
         return ""
 
     @property

@@ -34,6 +34,17 @@ class Stance:
     yaw: float = 0.0  # [rad] {strip} of the body
 
 
+@dataclass(frozen=True, slots=True)
+class Middle:
+    """Middle of ground, where it bears best: a pillar may tip under a load at its edge.
+
+    Source: Masri 2016, section 6.4.1.
+    """
+
+    inward: int  # [cells] by which feet stand further in than its border
+    wide_only: bool  # whether ground that is too narrow for it carries no feet; otherwise they stand where it is lowest
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PassageStep:
     """Step of one leg with the body's motion; leg -1 if only the body moves."""
@@ -125,7 +136,7 @@ class Roadmap:
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
 
     def begin(
-        self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool = False, central: bool = False
+        self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool = False, middle: Middle | None = None
     ) -> None:
         """Start a new search.
 
@@ -135,8 +146,7 @@ class Roadmap:
             goal_x: [m] {strip} goal of the body.
             seed: Random seed of the samples.
             turning: Whether the body may turn; otherwise it faces along the strip.
-            central: Whether feet stand only in the middle of ground, where it bears best: a pillar may tip under a load at its
-                edge (Masri 2016, section 6.4.1).
+            middle: If given, feet stand only in the middle of ground.
 
         Raises:
             ValueError: The stance has wrong shapes or feet that are not finite.
@@ -144,9 +154,15 @@ class Roadmap:
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
         self._field, self._rules = field, self._turning if turning else self._straight
-        if central:
-            middle = max(self._settings.central_cells, int(field.evaluation.min()))
-            self._rules = self._rules._replace(strong=middle, wide=middle, central=-self._settings.central_cells)
+        if middle is not None:
+            border = max(self._settings.central_cells, int(field.evaluation.min()))
+            self._rules = self._rules._replace(
+                strong=border,
+                wide=border,
+                weakest=border if middle.wide_only else self._rules.weakest,
+                central=-self._settings.central_cells,
+                inward=middle.inward,
+            )
         self._hidden = np.zeros(0)
         if is_uneven(field, self._settings.uneven_m):
             sway, moves = self._settings.sway_m, self._settings.uneven_body_moves

@@ -120,6 +120,7 @@ class Rules(NamedTuple):
     wide: int  # [cells] F of a local minimum up to which ground is wide
     weakest: int  # [cells] weakest permitted F of a local minimum
     central: int  # [cells] reach around a foothold in which the lowest F is taken, 0 for the foothold itself
+    inward: int  # [cells] by which it then moves towards the middle of equally low F
     drift: float  # [m] Delta y
     depth: int  # maximum number of steps
     step_gain: float  # [m] progress of robot and feet in a step, for the cost to go
@@ -484,17 +485,39 @@ def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tu
 
 
 @compiled
-def _lowest(F: NDArray[np.int8], i: int, j: int, reach: int) -> tuple[int, int]:
-    """Return the cell with the lowest F within a reach [cells] along both axes, and of several the nearest.
+def _lowest(F: NDArray[np.int8], i: int, j: int, reach: int, inward: int) -> tuple[int, int]:
+    """Return the lowest cell of F to which steps of at most a reach [cells] along both axes lead from (i, j).
 
-    Map noise makes shallow local minima near edges, where greedy descent ends.
+    Of several, it is the nearest one, and then moves by up to `inward` cells along both axes towards their middle. Map noise
+    makes shallow local minima near edges, where greedy descent ends.
     """
-    bi, bj, nearest = i, j, 0
-    for a in range(max(i - reach, 0), min(i + reach + 1, F.shape[0])):
-        for b in range(max(j - reach, 0), min(j + reach + 1, F.shape[1])):
-            distance = (a - i) ** 2 + (b - j) ** 2
-            if F[a, b] < F[bi, bj] or (F[a, b] == F[bi, bj] and distance < nearest):
-                bi, bj, nearest = a, b, distance
+    while True:
+        bi, bj, nearest = i, j, 0
+        rows, columns, n = 0, 0, 0
+        for a in range(max(i - reach, 0), min(i + reach + 1, F.shape[0])):
+            for b in range(max(j - reach, 0), min(j + reach + 1, F.shape[1])):
+                if F[a, b] > F[bi, bj]:
+                    continue
+                distance = (a - i) ** 2 + (b - j) ** 2
+                if F[a, b] < F[bi, bj]:
+                    bi, bj, nearest = a, b, distance
+                    rows, columns, n = 0, 0, 0
+                elif distance < nearest:
+                    bi, bj, nearest = a, b, distance
+                rows, columns, n = rows + a, columns + b, n + 1
+        if F[bi, bj] == F[i, j]:
+            return _towards(F, i, j, rows / n, columns / n, inward)
+        i, j = bi, bj
+
+
+@compiled
+def _towards(F: NDArray[np.int8], i: int, j: int, row: float, column: float, most: int) -> tuple[int, int]:
+    """Return the cell with the F of (i, j) that is nearest to a place, at most a number of cells away along both axes."""
+    bi, bj = i, j
+    for a in range(max(i - most, 0), min(i + most + 1, F.shape[0])):
+        for b in range(max(j - most, 0), min(j + most + 1, F.shape[1])):
+            if F[a, b] == F[i, j] and (a - row) ** 2 + (b - column) ** 2 < (bi - row) ** 2 + (bj - column) ** 2:
+                bi, bj = a, b
     return bi, bj
 
 
@@ -1399,7 +1422,7 @@ def _footholds(
         code = _wide(ground.meant[i, j])
         if code < 0:
             a, b = _resolved(F, i, j, rules.strong, rules.wide)
-            a, b = _lowest(F, a, b, rules.central)
+            a, b = _lowest(F, a, b, rules.central, rules.inward)
             code = a * ny + b
             ground.meant[i, j] = code
         known = False

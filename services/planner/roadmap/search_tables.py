@@ -96,6 +96,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, turning: bool = F
         wide=settings.wide_cells,
         weakest=settings.weakest_cells,
         central=0,
+        inward=0,
         drift=settings.turning_drift_m if turning else settings.drift_m,
         depth=(9 if turning else 6) * settings.cycles,  # a cycle has up to three turns between its steps
         step_gain=0.15 * size,

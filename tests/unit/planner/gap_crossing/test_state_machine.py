@@ -11,7 +11,7 @@ from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed
 from sextant.services.planner.gap_crossing.section_search import ATTEMPTS, PLANNINGS
 from sextant.services.planner.gap_crossing.state_machine import GapCrossing
 from sextant.services.planner.gap_crossing.strip_survey import STRIP, TURNING_WIDTH
-from sextant.services.planner.roadmap.roadmap import NoSection, PassageStep, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap import Middle, NoSection, PassageStep, SectionPlan, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.robot_estimate import WorldStance
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
@@ -35,14 +35,14 @@ class ScriptedRoadmap:
         self.found = list(found)
         self.begun: list[tuple[StripMap, Stance, float, int]] = []
         self.turning: list[bool] = []
-        self.central: list[bool] = []
+        self.middle: list[Middle | None] = []
         self.grown = 0
         self.edges: Array = np.zeros((3, 2, 3))
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, central: bool) -> None:
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, middle: Middle | None) -> None:
         self.begun.append((field, stance, goal_x, seed))
         self.turning.append(turning)
-        self.central.append(central)
+        self.middle.append(middle)
         self.grown = 0
 
     def grow(self, expansions: int) -> SectionPlan | NoSection | None:
@@ -224,10 +224,11 @@ def test_crossing_is_refused_with_planner_reason_after_all_attempts() -> None:
     assert len({seed for *_, seed in robot.sections.begun}) == _ALL
 
 
-def test_feet_are_tried_in_the_middle_of_ground_once_for_each_section() -> None:
-    robot = Robot(ScriptedRoadmap(*[no_way()] * 2, replace(section(0.0, 0.9), complete=False), section(0.9, 1.85)))
+def test_feet_are_tried_in_the_middle_of_ground_first_in_each_section() -> None:
+    robot = Robot(ScriptedRoadmap(*[no_way()] * 4, replace(section(0.0, 0.9), complete=False), section(0.9, 1.85)))
     robot.until_end()
-    assert robot.sections.central[:4] == [True, False, False, True]
+    inner, middle, anywhere = Middle(1, True), Middle(0, True), Middle(0, False)
+    assert robot.sections.middle[:6] == [inner, middle, anywhere, None, None, inner]
 
 
 def test_narrow_ground_is_crossed_like_a_gap_to_its_end() -> None:
