@@ -4,8 +4,9 @@ A column is all voxels of the cloud above one another. The centre of cell (i, j)
 (j + 1/2) cells to the left of its right side. Source: Masri 2016, sections 4.3, 4.4 and 4.7.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +21,8 @@ _TOP_SIDE = (1, 2, 3)  # [columns] from a column, which form a side
 _CRACK_SHARE = 0.4  # [1] share of the pixels on either side, below which a column is a crack ...
 _CRACK_SIDE_PIXELS = 30.0  # ... if both sides have at least this many pixels per column
 _CRACK_SIDE = (1, 2, 3)  # [columns] from the crack, which form a side
+_HOLE_DEPTH_M = 0.05  # [m] below a top next to it, from which on a cell is a hole in it
+_HOLE_RELIEF_M = 0.015  # [m] largest difference between the tops around a hole that is closed
 _MIN_UPWARD = 0.5  # [1] upward part of a normal, below which the plane is too steep to extrapolate the height
 
 
@@ -87,6 +90,8 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
        the ground hardly sees, and its pixels are stray.
     4. Assign each cell the column that contains its centre, and evaluate the plane of the column's point there. A column
        without a point leaves its cell unknown.
+    5. Close thin holes in a top. Its near part may have been measured from afar alone, with gaps between the pixels, and from
+       near the camera sees the wall below an overhang through these gaps.
 
     Args:
         cloud: Voxels with the edge `resolution`, which extend `radius` beyond the strip.
@@ -124,7 +129,40 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     cell_normals[known] = n
     rough = np.full(shape, np.nan, dtype=np.float32)
     rough[known] = roughness[of]
-    return PassageGrid(strip, resolution, elevation, cell_normals, rough, np.zeros(shape, dtype=np.bool_))
+    return close_thin_holes(PassageGrid(strip, resolution, elevation, cell_normals, rough, np.zeros(shape, dtype=np.bool_)))
+
+
+def close_thin_holes(grid: PassageGrid) -> PassageGrid:
+    """Return a map without the holes that no foot can enter: a cell wide, with tops of one height all around.
+
+    The cells of a hole are unknown, or much lower than a cell next to them. They get the mean of the tops next to them. A
+    crack between two blocks stays, because it leads to their edges.
+    """
+    kernel = np.ones((3, 3), np.uint8)
+    known = np.isfinite(grid.elevation)
+    heights = np.where(known, grid.elevation, np.float32(-np.inf))
+    hole = ~known | (heights < cv2.dilate(heights, kernel) - np.float32(_HOLE_DEPTH_M))
+    wide = cv2.dilate(cv2.erode(hole.astype(np.uint8), np.ones((2, 2), np.uint8), borderValue=1), kernel) > 0
+    count, label, box, _ = cv2.connectedComponentsWithStats(hole.astype(np.uint8), connectivity=8)
+    closed = np.zeros(hole.shape, dtype=np.bool_)
+    for k in range(1, count):
+        x, y, width, height, _ = box[k].tolist()
+        if min(x, y) < 1 or y + height >= hole.shape[0] or x + width >= hole.shape[1]:
+            continue  # it leads out of the strip
+        part = np.s_[y - 1 : y + height + 1, x - 1 : x + width + 1]
+        cells = label[part] == k
+        around = heights[part][(cv2.dilate(cells.astype(np.uint8), kernel) > 0) & ~cells]
+        closed[part] |= cells & (np.ptp(around) <= _HOLE_RELIEF_M and not (cells & wide[part]).any())
+    if not closed.any():
+        return grid
+    layers = np.dstack([grid.elevation, grid.normals, grid.roughness])
+    usable = ~hole & np.isfinite(layers).all(axis=2)
+    total = cv2.blur(np.where(usable[..., None], layers, 0.0), (3, 3), borderType=cv2.BORDER_CONSTANT)
+    share = cv2.blur(usable.astype(np.float64), (3, 3), borderType=cv2.BORDER_CONSTANT)
+    closed &= share > 0
+    layers[closed] = total[closed] / share[closed, None]
+    layers[closed, 1:4] /= np.linalg.norm(layers[closed, 1:4], axis=1, keepdims=True)
+    return replace(grid, elevation=layers[..., 0], normals=layers[..., 1:4], roughness=layers[..., 4])
 
 
 def with_assumed(grid: PassageGrid, heights: Array) -> PassageGrid:

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from sextant.services.mapper.elevation.start_ground import feet_plane
-from sextant.services.mapper.passage_map.passage_grid import cell_centres, local_centres, passage_grid, with_assumed
+from sextant.services.mapper.passage_map.passage_grid import (
+    PassageGrid,
+    cell_centres,
+    close_thin_holes,
+    local_centres,
+    passage_grid,
+    with_assumed,
+)
 from sextant.services.mapper.passage_map.voxel_cloud import Strip, VoxelCloud
 from sextant.shared.geometry import Array
 
@@ -104,6 +111,53 @@ def test_crack_between_blocks_is_unknown_despite_stray_pixels(heading: float) ->
     inside = np.abs(x - 0.4) < 0.006
     assert grid.unseen[inside].mean() > 0.85
     assert not grid.unseen[np.abs(x - 0.4) > 0.03].any(), "neither an edge nor thinner ground is a crack"
+
+
+def top_with(cells: object, height: float) -> PassageGrid:
+    """Return the map of a top at height 0 that rises by 5 % along x, with cells at another height [m]."""
+    where = strip(0.0)
+    slope = 0.05 * local_centres(where, 0.01)[..., 0]
+    normal = np.array([-0.05, 0.0, 1.0], np.float32) / np.float32(np.hypot(1.0, 0.05))
+    normals = np.broadcast_to(normal, (*slope.shape, 3)).copy()
+    elevation, roughness = slope.astype(np.float32), np.full(slope.shape, 0.001, np.float32)
+    elevation[cells] = height  # type: ignore[index]
+    if np.isnan(height):
+        normals[cells], roughness[cells] = np.nan, np.nan  # type: ignore[index]
+    return PassageGrid(where, 0.01, elevation, normals, roughness, np.zeros(slope.shape, np.bool_))
+
+
+LINE = (np.array([20, 21, 22, 23, 24, 25]), np.array([10, 10, 11, 12, 12, 12]))
+
+
+@pytest.mark.parametrize("height", [np.nan, -0.1])
+def test_hole_a_cell_wide_in_a_top_is_closed(height: float) -> None:
+    closed, firm = close_thin_holes(top_with(LINE, height)), top_with(np.s_[:0], 0.0)
+    np.testing.assert_allclose(closed.elevation, firm.elevation, atol=4e-4)
+    np.testing.assert_allclose(closed.normals, firm.normals, atol=1e-6)
+    np.testing.assert_allclose(closed.roughness, firm.roughness, atol=1e-6)
+
+
+@pytest.mark.parametrize("height", [np.nan, -0.1])
+@pytest.mark.parametrize(
+    "cells",
+    [
+        pytest.param(np.s_[20:22, 10:12], id="two cells wide"),
+        pytest.param(np.s_[20:30, 10:14], id="wide"),
+        pytest.param(np.s_[40, :], id="crack from edge to edge"),
+        pytest.param(np.s_[75:, 20], id="leads out of the strip"),
+    ],
+)
+def test_hole_that_a_foot_may_enter_stays(cells: object, height: float) -> None:
+    grid = top_with(cells, height)
+    assert close_thin_holes(grid) is grid
+
+
+def test_crack_between_tops_of_different_heights_stays() -> None:
+    grid = top_with(np.s_[30:40, 20:30], 0.05)
+    grid.elevation[29, 20:30] = np.nan
+    assert close_thin_holes(grid) is grid
+    shallow = top_with(LINE, -0.02)
+    assert close_thin_holes(shallow) is shallow, "a step down is no hole"
 
 
 def test_unseen_cells_are_unknown() -> None:
