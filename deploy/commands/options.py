@@ -166,7 +166,9 @@ class Variant:
 
     def source(self, scenario: str, robot: str) -> str:
         """Return the scenario by name or absolute path, with its scale for a robot, so that other processes can load it."""
-        path = str(Path(scenario).resolve()) if scenario.endswith(".toml") else scenario
+        from sextant.shared.scenario.loading import absolute
+
+        path = absolute(scenario)
         if not self.scaled:
             return path
         from sextant.shared.scenario.scale import suffix_of
@@ -267,10 +269,12 @@ variant = options_of(
 
 
 def scenarios(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Return the names of scenarios that a shell can complete a word to."""
-    from sextant.shared.scenario.loading import scenario_names
+    """Return the names of scenarios that a shell can complete a word to; points of families after a first letter."""
+    from sextant.shared.scenario.loading import family_names, point_names, scenario_names
 
-    return [name for name in scenario_names() if name.startswith(incomplete)]
+    family = incomplete.partition("@")[0]
+    points = [point for name in family_names() if incomplete and name.startswith(family) for point in point_names(name)]
+    return [name for name in (*scenario_names(), *points) if name.startswith(incomplete)]
 
 
 def checked_robot(robot: str) -> str:

@@ -121,7 +121,10 @@ place = options_of(
 
 @command()
 @argument(
-    "scenario", f"scenario name or TOML file; or a group: {', '.join(_GROUPS)}", "SCENARIO", shell_complete=options.scenarios
+    "scenario",
+    f"scenario name, FAMILY@VALUE or TOML file; or a group: {', '.join(_GROUPS)}",
+    "SCENARIO",
+    shell_complete=options.scenarios,
 )
 @options.variant
 @option(

@@ -274,15 +274,13 @@ def _usual(launch: Launch) -> str:
 
 def _choices(launch: Launch, simulated: bool) -> "Choices":
     from sextant.deploy.launch.process_table import Choices, choices
-    from sextant.shared.scenario.loading import load_scenario
+    from sextant.shared.scenario.loading import absolute, load_scenario
     from sextant.shared.wire.ports import free_port
 
     robot = options.checked_robot(launch.robot)
     if launch.scenario is None and launch.role != "sim":
         return Choices(robot=robot) if robot else Choices()
-    source = launch.scenario or "steps"
-    if source.endswith(".toml"):
-        source = str(Path(source).resolve())
+    source = absolute(launch.scenario or "steps")
     scenario = load_scenario(source)
     chosen = choices(scenario, source, launch.seed)
     chosen = replace(chosen, robot=robot) if robot else chosen

@@ -50,7 +50,7 @@ _windows = options_of(
 @command()
 @argument(
     "scenario",
-    "name of a scenario that comes with sextant, or path of a TOML file",
+    "scenario name, FAMILY@VALUE such as riser@0.05, or TOML file",
     "SCENARIO",
     shell_complete=options.scenarios,
 )

@@ -81,7 +81,7 @@ def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
 
     They are the router, the services, and an operator that runs the scenario on them.
     """
-    if scenario.endswith(".toml"):
+    if ".toml" in scenario:
         raise ConfigError(
             "scenario", ["the name of a scenario that comes with sextant expected; containers cannot read a file"]
         )

@@ -35,7 +35,8 @@ The [scenarios of the program](../shared/scenario/scenarios/mixed.toml) are file
 `sextant run mixed`. Unknown keys, wrong types and values outside their range are errors. Faults, movers, camera options and a
 mismatch may be in a separate file, a trouble, which is laid over any course by a plus sign: `sextant run steps+legs`. The
 program has `sun`, `legs` and `sparse`, and robots that differ from their profile: `mild`, `usual` and `harsh`. A number after
-an x is a scale of all lengths and speeds: `sextant run steps+x0.85` ([simulation.md](simulation.md)).
+an x is a scale of all lengths and speeds: `sextant run steps+x0.85` ([simulation.md](simulation.md)). The name or path of a
+[family](trials.md#difficulty-curves) with a value of its parameter is a scenario, too: `sextant run riser@0.05`.
 """
 _PICTURE = "Each picture shows the example below it with seed 1000; the robot stands at the origin."
 _PARTS = {

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from sextant.shared.files import config
 from sextant.shared.scenario.scenario import Scenario
 
@@ -58,7 +60,7 @@ class Family:
         table = deepcopy(self.scenario)
         for one in self.depends:
             _put(table, one.key, one.offset + one.factor * value, name)
-        made = config.build({"name": f"{name}@{value:g}"} | table, Scenario, f"family {name} at {value:g}")
+        made = config.build({"name": point_name(name, value)} | table, Scenario, f"family {name} at {value:g}")
         return replace(made, folder=str(folder.resolve()))
 
 
@@ -73,6 +75,11 @@ class NamedFamily:
     def at(self, value: float) -> Scenario:
         """Return the scenario at a value of the parameter; see `Family.at`."""
         return self.family.at(value, self.name, self.folder)
+
+
+def point_name(family: str, value: float) -> str:
+    """Return the name of the scenario of a family at a value of its parameter, without loss of digits: `riser@0.05`."""
+    return f"{family}@{np.format_float_positional(value + 0.0, trim='-')}"  # + 0.0: no -0
 
 
 def check_values(values: Sequence[float]) -> None:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 from sextant.shared.files import config
 from sextant.shared.plugins.loading import Plugins
-from sextant.shared.scenario.family import Family, NamedFamily
+from sextant.shared.scenario.family import Family, NamedFamily, point_name
 from sextant.shared.scenario.scale import scale_of
 from sextant.shared.scenario.scenario import Scenario, Trouble
 from sextant.shared.spelling import hint
 
 _SCENARIOS, _TROUBLES, _FAMILIES = (f"sextant.shared.scenario.{name}" for name in ("scenarios", "troubles", "families"))
-_NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,9})?")
+_NUMBER = re.compile(r"-?\d{1,30}(?:\.\d{1,30})?")
+_OF_FILE = re.compile(r"(.*\.toml)([@+][^/]*)?")
 
 
 def load_scenario(name_or_path: str) -> Scenario:
@@ -28,7 +29,7 @@ def load_scenario(name_or_path: str) -> Scenario:
         ConfigError: The scenario does not exist, or is invalid; the text lists all errors.
     """
     course, plus, added = name_or_path.rpartition("+")
-    if plus and course and "/" not in added:
+    if plus and course and "/" not in added and ".toml" not in added:
         scenario, scale = load_scenario(course), scale_of(added)
         if scale is not None:
             return scenario.scaled(scale)
@@ -38,12 +39,22 @@ def load_scenario(name_or_path: str) -> Scenario:
     family, at, value = name_or_path.rpartition("@")
     if at and "/" not in value:
         return _point(family, value)
-    known = scenario_names()
+    known, families = scenario_names(), family_names()
     if name_or_path not in known:
-        ways = f"{hint(name_or_path, known)}; or give a path that ends in .toml"
+        if name_or_path in families:
+            words = f"{name_or_path!r} is a family of scenarios; a point of it expected, such as {point_names(name_or_path)[1]}"
+            raise config.ConfigError("scenario", [words])
+        near = hint(name_or_path, [*known, *families])
+        ways = f"{near}; or give a point of a family, such as riser@0.05, or a path that ends in .toml"
         raise config.ConfigError("scenario", [f"no scenario {name_or_path[:60]!r}; {ways}"])
     with resources.as_file(resources.files(_SCENARIOS) / f"{name_or_path}.toml") as path:
         return _with_folder(config.load(path, Scenario), path.parent)
+
+
+def absolute(name_or_path: str) -> str:
+    """Return a scenario for `load_scenario`, with the path of its file made absolute; a name stays as it is."""
+    found = _OF_FILE.fullmatch(name_or_path)
+    return f"{Path(found[1]).resolve()}{found[2] or ''}" if found else name_or_path
 
 
 def load_trouble(name: str) -> Trouble:
@@ -87,6 +98,11 @@ def trouble_names() -> list[str]:
 def family_names() -> list[str]:
     """Return the names of the bundled families."""
     return _names(_FAMILIES)
+
+
+def point_names(family: str) -> list[str]:
+    """Return the names of the scenarios of a bundled family at its values: `riser@0.03` and so on."""
+    return [point_name(family, value) for value in _family(family).family.values]
 
 
 def _point(family: str, value: str) -> Scenario:

@@ -255,7 +255,7 @@ class Trouble:
 class Scenario:
     """One course, with the parameters to walk it."""
 
-    name: str  # letters, digits, spaces and . _ + -; also names the folder of a run
+    name: str  # letters, digits, spaces and . _ + @ -; also names the folder of a run
     terrain: tuple[Terrain, ...]
     goal: Goal
     start: Start = field(default_factory=Start)

@@ -25,7 +25,7 @@ from sextant.deploy.terminal.run_command import run_command
 from sextant.evaluation.lockstep import lockstep_run
 from sextant.evaluation.report import Report, write
 from sextant.evaluation.trials import environment, results_store, trials
-from sextant.shared.scenario.loading import load_scenario
+from sextant.shared.scenario.loading import load_scenario, point_names, scenario_names
 from sextant.shared.scenario.scenario import Scenario, Walk
 from sextant.shared.wire.codec import schema_id
 from sextant.shared.wire.messages import ActuatorState, GaitName, Mode, schema
@@ -596,7 +596,7 @@ def test_course_is_scaled_to_the_robot_and_named_by_its_scale(tmp_path: Path, mo
 def test_simulator_of_a_live_run_loads_the_scaled_course(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('name = "mine"\n[goal]\ndistance = 1.0\n[[terrain]]\nkind = "plane"\n')
     variant = Variant(robot="lotriet_rx64", scaled=True)
-    for scenario in ("steps", "steps+usual", str(tmp_path / "mine.toml")):
+    for scenario in ("steps", "steps+usual", "riser@0.05", str(tmp_path / "mine.toml")):
         course = variant.load(scenario)
         source = variant.source(scenario, course.robot)
         assert source == f"{scenario}+x1.11"
@@ -711,3 +711,16 @@ def test_shell_completes_commands_options_and_choices(
         monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
         assert cli.main([]) == 0
         assert capsys.readouterr().out.splitlines() == [f"plain,{expected}"]
+
+
+def test_shell_completes_the_points_of_a_family_after_its_first_letter(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("_SEXTANT_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_CWORD", "2")
+    completed = {}
+    for word in ("", "uneven", "uneven_pillars@0.04"):
+        monkeypatch.setenv("COMP_WORDS", f"sextant run {word}")
+        assert cli.main([]) == 0
+        completed[word] = [line.removeprefix("plain,") for line in capsys.readouterr().out.splitlines()]
+    assert completed[""] == scenario_names()
+    assert completed["uneven"] == point_names("uneven_pillars")
+    assert completed["uneven_pillars@0.04"] == ["uneven_pillars@0.04"]

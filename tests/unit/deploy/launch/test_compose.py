@@ -161,8 +161,9 @@ def test_dockerignore_admits_all_copied_paths() -> None:
 
 
 def test_scenario_outside_containers_is_refused() -> None:
-    with pytest.raises(ConfigError, match="containers cannot read"):
-        compose_yaml("/tmp/mine.toml", 3)
+    for path in ("/tmp/mine.toml", "/tmp/mine.toml+sun", "/tmp/family.toml@0.05"):
+        with pytest.raises(ConfigError, match="containers cannot read"):
+            compose_yaml(path, 3)
     with pytest.raises(ConfigError, match="no scenario 'nope'"):
         compose_yaml("nope", 3)
 

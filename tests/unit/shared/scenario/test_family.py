@@ -1,6 +1,7 @@
 """Families of scenarios."""
 
 import itertools
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from sextant.services.simulator.physics.terrain import build_terrain
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.family import check_values
-from sextant.shared.scenario.loading import family_names, load_family, load_scenario
+from sextant.shared.scenario.loading import absolute, family_names, load_family, load_scenario, point_names, scenario_names
 
 ROOT = Path(__file__).parents[4]
 OWN = """about = "a step"
@@ -94,6 +95,41 @@ def test_family_at_a_value_is_a_scenario(tmp_path):
     assert load_scenario(f"{path}@0.07").terrain[1].top == pytest.approx(0.08)
 
 
+@pytest.mark.parametrize("value", [10.0, 1 / 3, 0.0512345678, 1.2e-7, 86399.125])
+def test_name_of_a_point_stands_for_the_same_scenario(value):
+    found = load_family("speed").at(value)
+    assert found.time_limit_s == value
+    assert load_scenario(found.name) == found
+
+
+def test_zero_has_one_name():
+    assert load_scenario("cross_slope@-0").name == load_scenario("cross_slope@0.0").name == "cross_slope@0"
+
+
+@pytest.mark.parametrize("name", family_names())
+def test_listed_points_of_a_family_are_its_scenarios(name):
+    assert [load_scenario(point).name for point in point_names(name)] == point_names(name)
+
+
+@pytest.mark.parametrize("added", ["", "@0.07", "@0.07+sun", "+x0.9"])
+def test_file_is_found_from_elsewhere_by_its_absolute_path(tmp_path, monkeypatch, added):
+    folder = tmp_path / "a+b@c.toml.d"
+    folder.mkdir()
+    scenario = 'name = "f"\n' + OWN.partition("offset = 0.01\n")[2].replace("scenario.", "")
+    (folder / "f+g@h.toml").write_text(OWN if "@" in added else scenario)
+    monkeypatch.chdir(folder)
+    here = load_scenario(f"f+g@h.toml{added}")
+    path = absolute(f"f+g@h.toml{added}")
+    monkeypatch.chdir(tmp_path)
+    assert path == f"{folder.resolve()}{os.sep}f+g@h.toml{added}"
+    assert load_scenario(path) == here
+
+
+def test_name_without_a_file_has_no_absolute_path():
+    for name in (*scenario_names(), "riser@0.05", "steps+sun"):
+        assert absolute(name) == name
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [
@@ -101,6 +137,9 @@ def test_family_at_a_value_is_a_scenario(tmp_path):
         ("riser@nan", "such as riser@0.05, found 'nan'"),
         ("risr@0.05", "no family of scenarios 'risr'; did you mean 'riser'"),
         ("riser@-5000", "family riser at -5000"),
+        ("riser", "'riser' is a family of scenarios; a point of it expected, such as riser@0.03"),
+        ("riser+sun", "'riser' is a family of scenarios; a point of it expected, such as riser@0.03"),
+        ("risr", "no scenario 'risr'; did you mean 'riser'?; or give a point of a family, such as riser@0.05"),
     ],
 )
 def test_value_or_family_that_does_not_exist_is_refused(name, words):
