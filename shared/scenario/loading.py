@@ -1,6 +1,5 @@
 """Read scenarios, troubles and families of scenarios, by name or from TOML files."""
 
-import difflib
 import re
 from dataclasses import replace
 from importlib import resources
@@ -11,7 +10,7 @@ from sextant.shared.plugins.loading import Plugins
 from sextant.shared.scenario.family import Family, NamedFamily, point_name
 from sextant.shared.scenario.scale import scale_of
 from sextant.shared.scenario.scenario import Scenario, Trouble
-from sextant.shared.spelling import hint
+from sextant.shared.spelling import hint, nearest
 
 _SCENARIOS, _TROUBLES, _FAMILIES = (f"sextant.shared.scenario.{name}" for name in ("scenarios", "troubles", "families"))
 _NUMBER = re.compile(r"-?\d{1,30}(?:\.\d{1,30})?")
@@ -43,7 +42,7 @@ def load_scenario(name_or_path: str) -> Scenario:
     if name_or_path not in known:
         if name_or_path in families:
             words = f"{name_or_path!r} is a family of scenarios; a point of it expected, such as {point_names(name_or_path)[1]}"
-            raise config.ConfigError("scenario", [words])
+            raise config.ConfigError("scenario", [f"{words}; `sextant trials {name_or_path} --curve` walks all of them"])
         near = hint(name_or_path, [*known, *families])
         ways = f"{near}; or give a point of a family, such as riser@0.05, or a path that ends in .toml"
         raise config.ConfigError("scenario", [f"no scenario {name_or_path[:60]!r}; {ways}"])
@@ -65,9 +64,9 @@ def load_trouble(name: str) -> Trouble:
     """
     known = trouble_names()
     if name not in known:
-        near = difflib.get_close_matches(name, known, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        words = f"no trouble {name!r}; {hint}known: {', '.join(known)}; or a scale such as x0.85"
+        near = nearest(name, known)
+        meant = f"did you mean {near!r}? " if near else ""
+        words = f"no trouble {name[:60]!r}; {meant}known: {', '.join(known)}; or a scale such as x0.85"
         raise config.ConfigError("trouble", [words])
     with resources.as_file(resources.files(_TROUBLES) / f"{name}.toml") as path:
         return config.load(path, Trouble)

@@ -137,7 +137,7 @@ def test_name_without_a_file_has_no_absolute_path():
         ("riser@nan", "such as riser@0.05, found 'nan'"),
         ("risr@0.05", "no family of scenarios 'risr'; did you mean 'riser'"),
         ("riser@-5000", "family riser at -5000"),
-        ("riser", "'riser' is a family of scenarios; a point of it expected, such as riser@0.03"),
+        ("riser", "a point of it expected, such as riser@0.03; `sextant trials riser --curve` walks all of them"),
         ("riser+sun", "'riser' is a family of scenarios; a point of it expected, such as riser@0.03"),
         ("risr", "no scenario 'risr'; did you mean 'riser'?; or give a point of a family, such as riser@0.05"),
     ],
