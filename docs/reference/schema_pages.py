@@ -16,7 +16,7 @@ _SCENARIO = """# Scenario format
 *`python -m docs.reference scenarios` makes this page, the pages of its parts and their pictures from the schema
 (`shared/scenario/scenario.py` and `terrain.py`); a test checks that they are up to date.*
 
-A scenario is a TOML file with a course and the parameters to walk it. `sextant run FILE.toml`, `trials`, `demo` and
+A scenario is a TOML file with a course and the parameters to walk it. `sextant run FILE.toml`, `trials` and
 `up --scenario` take its path. {world} has its origin on the ground below the robot's start; x is its heading at yaw 0, z is up.
 All lengths are in metres. The seed of a run draws everything that is random: spreads, jitter, positions of rubble and
 pillars. The smallest complete file is
