@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
+
 from sextant.deploy.commands import options
 from sextant.deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say, say_if_it_compiles
 from sextant.deploy.terminal.arguments import Choice, Parsed, argument, command, flag, option, options_of
@@ -119,12 +121,20 @@ place = options_of(
 )
 
 
+def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Return the groups, families and scenarios that a shell can complete a word to."""
+    from sextant.shared.scenario.loading import family_names
+
+    words = [word for word in (*_GROUPS, *family_names()) if word.startswith(incomplete)]
+    return list(dict.fromkeys((*words, *options.scenarios(context, parameter, incomplete))))
+
+
 @command()
 @argument(
     "scenario",
     f"scenario name, FAMILY@VALUE or TOML file; or a group: {', '.join(_GROUPS)}",
     "SCENARIO",
-    shell_complete=options.scenarios,
+    shell_complete=_completed,
 )
 @options.variant
 @option(

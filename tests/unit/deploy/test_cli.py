@@ -705,6 +705,7 @@ def test_shell_completes_commands_options_and_choices(
         ("sextant run --lock", "--lockstep"),
         ("sextant run --gait wa", "wave"),
         ("sextant run cob", "cobbles"),
+        ("sextant trials bri", "bridges"),
     ):
         monkeypatch.setenv("_SEXTANT_COMPLETE", "bash_complete")
         monkeypatch.setenv("COMP_WORDS", words)
@@ -723,4 +724,7 @@ def test_shell_completes_the_points_of_a_family_after_its_first_letter(monkeypat
         completed[word] = [line.removeprefix("plain,") for line in capsys.readouterr().out.splitlines()]
     assert completed[""] == scenario_names()
     assert completed["uneven"] == point_names("uneven_pillars")
+    monkeypatch.setenv("COMP_WORDS", "sextant trials uneven")
+    assert cli.main([]) == 0
+    assert capsys.readouterr().out.splitlines()[:2] == ["plain,uneven_pillars", f"plain,{point_names('uneven_pillars')[0]}"]
     assert completed["uneven_pillars@0.04"] == ["uneven_pillars@0.04"]
