@@ -14,7 +14,6 @@ from sextant.evaluation.whole_maps.strip import strip_ahead
 from sextant.evaluation.whole_maps.terrain_map import MapPlanError, terrain_of
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.gap_detection import detect_gap
-from sextant.services.planner.gap_crossing.section_search import ATTEMPTS, middle_of
 from sextant.services.planner.gap_crossing.strip_survey import BEHIND, TURNING_WIDTH
 from sextant.services.planner.locomotion.gait import GAITS, directions, gait_of, swing_order
 from sextant.services.planner.locomotion.step_planner import NoStep, PlannedStep, StepPlanner, StepStart
@@ -304,8 +303,9 @@ class _Walker:
         T = strip.T_strip_world @ self._body
         stance = Stance(T[:3, 3].copy(), apply(strip.T_strip_world, self._feet), yaw_of(T))
         found: SectionPlan | NoSection | None = None
-        for attempt in range(1, ATTEMPTS + 1):
-            roadmap.begin(strip, stance, goal_x, ATTEMPTS * section + attempt, turning, middle_of(attempt))
+        attempts = roadmap.attempts(strip)
+        for attempt, inward in enumerate(attempts):
+            roadmap.begin(strip, stance, goal_x, len(attempts) * section + attempt, turning, inward)
             found = None
             while found is None:
                 found = roadmap.grow(10_000)

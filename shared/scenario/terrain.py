@@ -130,12 +130,12 @@ class Pillars:
     size: float  # [m] edge of the square tops
     top: float  # [m] height of the tops
     kind: Literal["pillars"] = "pillars"
-    length: float = 0.0  # [m] edge of the tops along x; 0 for square tops
+    length: float = 0.0  # [m] edge of the tops along x, before the turn; 0 for square tops
     depth: float = 0.5  # [m] extent downward from the top
     turn_deg: float = 0.0  # [deg] turn of all pillars together about the pivot, to the left
     pivot: tuple[float, float] = (0.0, 0.0)  # [m] point about which they turn
     color: Color | None = None  # R, G, B from 0 to 255; by default the ground's usual colour
-    jitter: float = 0.0  # [m] maximum random displacement of each pillar along each axis
+    jitter: float = 0.0  # [m] maximum random displacement of each pillar along each axis, before the turn
     top_spread: float = 0.0  # [m] maximum random offset of the top of each pillar, of either sign
     # Number of weak pillars, chosen by the seed. They look like the others, but sink when loaded and stay down.
     weak: int = 0

@@ -137,6 +137,8 @@ def close_thin_holes(grid: PassageGrid) -> PassageGrid:
 
     The cells of a hole are unknown, or much lower than a cell next to them. They get the mean of the tops next to them. A
     crack between two blocks stays, because it leads to their edges.
+
+    The layers are contiguous, as compiled functions expect them: for others they would be compiled again.
     """
     kernel = np.ones((3, 3), np.uint8)
     known = np.isfinite(grid.elevation)
@@ -162,7 +164,8 @@ def close_thin_holes(grid: PassageGrid) -> PassageGrid:
     closed &= share > 0
     layers[closed] = total[closed] / share[closed, None]
     layers[closed, 1:4] /= np.linalg.norm(layers[closed, 1:4], axis=1, keepdims=True)
-    return replace(grid, elevation=layers[..., 0], normals=layers[..., 1:4], roughness=layers[..., 4])
+    elevation, normals, roughness = map(np.ascontiguousarray, (layers[..., 0], layers[..., 1:4], layers[..., 4]))
+    return replace(grid, elevation=elevation, normals=normals, roughness=roughness)
 
 
 def with_assumed(grid: PassageGrid, heights: Array) -> PassageGrid:

@@ -6,21 +6,14 @@ from typing import Protocol
 import numpy as np
 
 from sextant.services.planner.gap_crossing.plan_message import make_plan_message
-from sextant.services.planner.roadmap.roadmap import Middle, NoSection, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap import NoSection, SectionPlan, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array
 from sextant.shared.wire.messages import PassagePlan
 
-ATTEMPTS = 11  # attempts to plan a section, each with other samples
-_MIDDLES = (Middle(1, True), Middle(0, True), Middle(0, False))  # where feet stand in the first attempts; later, on all ground
 PLANNINGS = 3  # maximum number of plannings at one place
 _PER_TICK = 4_000  # expansions per actuator message, 25 messages a second: 100 000 a second, the capacity of a core
 _SAME_PLACE = 0.03  # [m] radius of one place of the body
-
-
-def middle_of(attempt: int) -> Middle | None:
-    """Return the `middle` of `Roadmap.begin` for an attempt, which count from 1."""
-    return _MIDDLES[attempt - 1] if attempt <= len(_MIDDLES) else None
 
 
 class SectionPlanner(Protocol):
@@ -31,7 +24,11 @@ class SectionPlanner(Protocol):
         """Return the tree, (n, 2, 3) [m] {strip}."""
         ...
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, middle: Middle | None) -> None:
+    def attempts(self, field: StripMap) -> tuple[int | None, ...]:
+        """Return the `inward` of the searches to try in turn on a strip."""
+        ...
+
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, inward: int | None) -> None:
         """Start a new search."""
         ...
 
@@ -54,7 +51,8 @@ class SectionSearch:
         self.section = 0  # number of the section
         self.is_running = False
         self.straight_refusal = ""  # why no section leads straight on; then the body turns in all further sections
-        self._attempt = ATTEMPTS  # number of attempts for the section
+        self._left: list[int | None] = []  # attempts that remain for the section
+        self._begun = 0  # number of searches, the seed of the newest
         self._tried: list[Array] = []  # (2,) [m] {world} body places of previous plannings
         self._stopped = ""  # why the last planning found no path
         self._goal_x = 0.0  # [m] {strip} goal of the section
@@ -64,7 +62,7 @@ class SectionSearch:
     @property
     def has_attempts(self) -> bool:
         """Return whether other samples remain to be tried for this section."""
-        return self._attempt < ATTEMPTS
+        return bool(self._left)
 
     def begin(self, field: StripMap, root: Stance, goal_x: float, xy: Array) -> str:
         """Start the next attempt, of a new section if none is left; return why it is useless, or "".
@@ -80,11 +78,9 @@ class SectionSearch:
                 words = f"the robot made no progress after {PLANNINGS} plans at one place"
                 return f"{words}: {self._stopped}" if self._stopped else words
             self._tried.append(xy.copy())
-            self.section, self._attempt = self.section + 1, 0
-        self._attempt += 1
-        self._goal_x, self._planning_ns, self.is_running = goal_x, 0, True
-        seed, middle = ATTEMPTS * self.section + self._attempt, middle_of(self._attempt)
-        self._roadmap.begin(field, root, goal_x, seed, self.turns, middle)
+            self.section, self._left = self.section + 1, [*self._roadmap.attempts(field)]
+        self._goal_x, self._planning_ns, self.is_running, self._begun = goal_x, 0, True, self._begun + 1
+        self._roadmap.begin(field, root, goal_x, self._begun, self.turns, self._left.pop(0))
         return ""
 
     @property
@@ -122,7 +118,7 @@ class SectionSearch:
 
     def finish(self) -> None:
         """End the section; the next attempt is one of another section."""
-        self._attempt = ATTEMPTS
+        self._left.clear()
 
     def may_plan_at(self, xy: Array) -> bool:
         """Return whether another section may be planned at a place (2,) [m] {world}."""

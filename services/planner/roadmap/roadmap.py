@@ -13,11 +13,20 @@ from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.failure_reasons import TEST_NAMES, WHOLE_ROBOT, describe_fault, explain_failure
 from sextant.services.planner.roadmap.params import PassageSettings
 from sextant.services.planner.roadmap.search_tables import ground_of, legs_of, rules_of, tree_of
-from sextant.services.planner.roadmap.sections import bare, foothold_heights, hidden_behind, is_uneven, nearest_view
+from sextant.services.planner.roadmap.sections import (
+    bare,
+    foothold_heights,
+    has_wide_places,
+    hidden_behind,
+    is_uneven,
+    nearest_view,
+)
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.shared.geometry import Array, rotation_z
 from sextant.shared.robot.profile import RobotProfile
 
+ATTEMPTS = 8  # attempts to plan a section with feet on all ground
+_INWARD = (1, 0)  # [cells] of the attempts before them, on wide places
 _BAND = 0.35  # [m] to either side of the middle line in which cells count
 _MIN_SECTION_M = 0.05  # [m] minimum body travel of a section
 _SPARE = 0.10  # [m] body travel planned beyond the end of a section that does not reach the goal
@@ -32,17 +41,6 @@ class Stance:
     body: Array  # (3,) [m] {strip} body origin
     feet: Array  # (6, 3) [m] {strip} foot centres
     yaw: float = 0.0  # [rad] {strip} of the body
-
-
-@dataclass(frozen=True, slots=True)
-class Middle:
-    """Middle of ground, where it bears best: a pillar may tip under a load at its edge.
-
-    Source: Masri 2016, section 6.4.1.
-    """
-
-    inward: int  # [cells] by which feet stand further in than its border
-    wide_only: bool  # whether ground that is too narrow for it carries no feet; otherwise they stand where it is lowest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +133,17 @@ class Roadmap:
         """Return n random stances of the current tree, for the benchmark."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[roadmap_search.NODES]), n)]
 
+    def attempts(self, field: StripMap) -> tuple[int | None, ...]:
+        """Return what to try in turn on a strip, each with another seed: the `inward` of `begin`.
+
+        On wide places, feet first stand only in the middle, where the ground bears best: a pillar may tip under a load at its
+        edge (Masri 2016, section 6.4.1).
+        """
+        is_wide = has_wide_places(field, self._settings.bare_ground, self._settings.central_cells)
+        return (*(_INWARD if is_wide else ()), *(None,) * ATTEMPTS)
+
     def begin(
-        self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool = False, middle: Middle | None = None
+        self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool = False, inward: int | None = None
     ) -> None:
         """Start a new search.
 
@@ -146,7 +153,7 @@ class Roadmap:
             goal_x: [m] {strip} goal of the body.
             seed: Random seed of the samples.
             turning: Whether the body may turn; otherwise it faces along the strip.
-            middle: If given, feet stand only in the middle of ground.
+            inward: [cells] If given, feet stand only in the middle of ground, this far inside of the middle's border.
 
         Raises:
             ValueError: The stance has wrong shapes or feet that are not finite.
@@ -154,15 +161,9 @@ class Roadmap:
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
         self._field, self._rules = field, self._turning if turning else self._straight
-        if middle is not None:
-            border = max(self._settings.central_cells, int(field.evaluation.min()))
-            self._rules = self._rules._replace(
-                strong=border,
-                wide=border,
-                weakest=border if middle.wide_only else self._rules.weakest,
-                central=-self._settings.central_cells,
-                inward=middle.inward,
-            )
+        if inward is not None:
+            border = self._settings.central_cells
+            self._rules = self._rules._replace(strong=border, wide=border, weakest=border, central=-border, inward=inward)
         self._hidden = np.zeros(0)
         if is_uneven(field, self._settings.uneven_m):
             sway, moves = self._settings.sway_m, self._settings.uneven_body_moves

@@ -488,8 +488,8 @@ def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tu
 def _lowest(F: NDArray[np.int8], i: int, j: int, reach: int, inward: int) -> tuple[int, int]:
     """Return the lowest cell of F to which steps of at most a reach [cells] along both axes lead from (i, j).
 
-    Of several, it is the nearest one, and then moves by up to `inward` cells along both axes towards their middle. Map noise
-    makes shallow local minima near edges, where greedy descent ends.
+    Of several, it is the nearest one to the last step, and then moves by up to `inward` cells along both axes towards their
+    middle. Map noise makes shallow local minima near edges, where greedy descent ends.
     """
     while True:
         bi, bj, nearest = i, j, 0

@@ -15,6 +15,7 @@ _BEYOND = 0.40  # [m] from the gap to the body's centre, with which the whole ro
 _ROOM = 0.80  # [m] of normal ground, enough for the whole robot to stand and walk on
 _BORDER = 0.05  # [m] at the strip's far end where no gap is detected, because cells outside a strip count as vacant
 _UNDER = 0.7  # [1] share of the radius of failed ground, in which the ground has certainly sunk with the foot
+_WIDE_SHARE = 0.8  # [1] minimum share of wide places in the footholds
 _GONE = 1  # evaluation function of a cell without a foothold
 _INNER = -2  # [cells] evaluation function of footholds with ground on all sides, whose heights are no outliers
 
@@ -41,6 +42,21 @@ def goal_behind(field: StripMap, x: float, target: float, params: BareGroundPara
         return None
     apart = np.flatnonzero(np.diff(centres[ahead]) > _ROOM)
     return min(target, float(centres[ahead[apart[0] if len(apart) else -1]]) + _BEYOND)
+
+
+def has_wide_places(field: StripMap, params: BareGroundParams, middle: int) -> bool:
+    """Return whether the places of bare ground that carry a foot have a middle, far from their edges.
+
+    Args:
+        field: The strip.
+        params: Parameters of bare ground.
+        middle: [cells] highest evaluation function of a middle.
+    """
+    carries = (field.evaluation < 0) & bare(field, params)[:, None]
+    wide = carries & (field.evaluation <= middle)
+    for axis in range(2):  # the cells around each middle, as far as its edges
+        wide = np.logical_or.reduce([np.roll(wide, shift, axis) for shift in range(middle, 1 - middle)])
+    return bool(carries.any() and wide[carries].mean() >= _WIDE_SHARE)
 
 
 def without(field: StripMap, sole: Array, radius: float) -> StripMap:

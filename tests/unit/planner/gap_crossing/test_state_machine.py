@@ -8,10 +8,10 @@ import pytest
 
 from sextant.services.planner.config import Settings
 from sextant.services.planner.gap_crossing.outcome import CannotCross, Completed, NextStep, Outcome, Wait
-from sextant.services.planner.gap_crossing.section_search import ATTEMPTS, PLANNINGS
+from sextant.services.planner.gap_crossing.section_search import PLANNINGS
 from sextant.services.planner.gap_crossing.state_machine import GapCrossing
 from sextant.services.planner.gap_crossing.strip_survey import STRIP, TURNING_WIDTH
-from sextant.services.planner.roadmap.roadmap import Middle, NoSection, PassageStep, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap import ATTEMPTS, NoSection, PassageStep, SectionPlan, Stance
 from sextant.services.planner.roadmap.strip_map import StripMap
 from sextant.services.planner.robot_estimate import WorldStance
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
@@ -35,14 +35,18 @@ class ScriptedRoadmap:
         self.found = list(found)
         self.begun: list[tuple[StripMap, Stance, float, int]] = []
         self.turning: list[bool] = []
-        self.middle: list[Middle | None] = []
+        self.inward: list[int | None] = []
+        self.wide = False
         self.grown = 0
         self.edges: Array = np.zeros((3, 2, 3))
 
-    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, middle: Middle | None) -> None:
+    def attempts(self, field: StripMap) -> tuple[int | None, ...]:
+        return (*((1, 0) if self.wide else ()), *(None,) * ATTEMPTS)
+
+    def begin(self, field: StripMap, stance: Stance, goal_x: float, seed: int, turning: bool, inward: int | None) -> None:
         self.begun.append((field, stance, goal_x, seed))
         self.turning.append(turning)
-        self.middle.append(middle)
+        self.inward.append(inward)
         self.grown = 0
 
     def grow(self, expansions: int) -> SectionPlan | NoSection | None:
@@ -226,9 +230,11 @@ def test_crossing_is_refused_with_planner_reason_after_all_attempts() -> None:
 
 def test_feet_are_tried_in_the_middle_of_ground_first_in_each_section() -> None:
     robot = Robot(ScriptedRoadmap(*[no_way()] * 4, replace(section(0.0, 0.9), complete=False), section(0.9, 1.85)))
+    robot.sections.wide = True
     robot.until_end()
-    inner, middle, anywhere = Middle(1, True), Middle(0, True), Middle(0, False)
-    assert robot.sections.middle[:6] == [inner, middle, anywhere, None, None, inner]
+    assert robot.sections.inward[:6] == [1, 0, None, None, None, 1]
+    seeds = [seed for *_, seed in robot.sections.begun]
+    assert len(set(seeds)) == len(seeds)
 
 
 def test_narrow_ground_is_crossed_like_a_gap_to_its_end() -> None:

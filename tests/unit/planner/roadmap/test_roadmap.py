@@ -17,7 +17,7 @@ from sextant.evaluation.scoring.passage_truth import stance_at
 from sextant.evaluation.whole_maps.strip import strip_of
 from sextant.services.planner.roadmap import roadmap_search
 from sextant.services.planner.roadmap.params import PassageSettings
-from sextant.services.planner.roadmap.roadmap import Middle, NoSection, Roadmap, SectionPlan, Stance
+from sextant.services.planner.roadmap.roadmap import ATTEMPTS, NoSection, Roadmap, SectionPlan, Stance
 from sextant.services.planner.roadmap.roadmap_search import nearest_seen
 from sextant.services.planner.roadmap.sections import bare, hidden_behind, nearest_view
 from sextant.services.planner.roadmap.strip_map import StripMap
@@ -49,9 +49,9 @@ def grown(
     seed: int = 1,
     part: int = 10**6,
     turning: bool = False,
-    middle: Middle | None = None,
+    inward: int | None = None,
 ) -> SectionPlan | NoSection:
-    roadmap.begin(field, stance, goal_x, seed, turning, middle)
+    roadmap.begin(field, stance, goal_x, seed, turning, inward)
     while (outcome := roadmap.grow(part)) is None:
         pass
     return outcome
@@ -108,7 +108,7 @@ def test_footholds_in_the_middle_of_each_pillar(roadmap: Roadmap, inward: int, f
     edge = on_pillars & (field.evaluation == -2)
     edge[1::3] = edge[:, 1::3] = False
     field.evaluation[edge] = -4
-    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + 0.7 + BEYOND, middle=Middle(inward, wide_only=True))
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + 0.7 + BEYOND, inward=inward)
     assert isinstance(found, SectionPlan), found.reason
     feet = np.array([step.touchdown[:2] for step in found.steps if step.leg >= 0])
     i, j = np.rint((feet - field.first_cell) / field.resolution).astype(int).T
@@ -117,15 +117,17 @@ def test_footholds_in_the_middle_of_each_pillar(roadmap: Roadmap, inward: int, f
     assert away.max() == pytest.approx(farthest_m, abs=0.001)
 
 
-def test_narrow_pillars_carry_feet_only_if_ground_may_be_narrow(roadmap: Roadmap) -> None:
-    blocks = [Block(x, y, 0.17, 0.10) for x in (0.1575, 0.4, 0.6425) for y in (-0.16, 0.16)]
-    field, stance, goal_x = strip_of(heights(blocks, GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND
-    wide, narrow = (grown(roadmap, field, stance, goal_x, middle=Middle(0, wide_only)) for wide_only in (True, False))
-    assert isinstance(wide, NoSection)
-    assert isinstance(narrow, SectionPlan), narrow.reason
-    feet = np.array([step.touchdown[:2] for step in narrow.steps if step.leg >= 0])
-    on_pillars = feet[(feet[:, 0] > NEAR + 0.01) & (feet[:, 0] < NEAR + GAP - 0.01)]
-    np.testing.assert_allclose(np.abs(on_pillars[:, 1]), 0.16, atol=0.006)
+@pytest.mark.parametrize(("size", "is_wide"), [((0.2, 0.2), True), ((0.17, 0.10), False)])
+def test_middles_are_tried_first_on_wide_pillars_alone(roadmap: Roadmap, size: tuple[float, float], is_wide: bool) -> None:
+    blocks = [Block(x, y, *size) for x in (0.15, 0.4, 0.65) for y in (-0.16, 0.16)]
+    field = strip_of(heights(blocks, GAP), HEIGHT)
+    assert roadmap.attempts(field) == (*((1, 0) if is_wide else ()), *(None,) * ATTEMPTS)
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, inward=0)
+    assert is_wide or isinstance(found, NoSection), "narrow pillars have no middle"
+
+
+def test_ground_without_a_place_is_not_wide(roadmap: Roadmap) -> None:
+    assert roadmap.attempts(strip_of(heights([], GAP), HEIGHT)) == (None,) * ATTEMPTS
 
 
 def bridge(lines: list[tuple[float, float, float]], tops: tuple[float, float] = (0.0, 0.0)) -> StripMap:
