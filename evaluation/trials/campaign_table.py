@@ -1,6 +1,7 @@
 """Success rates per terrain as a table, of a new campaign or of stored runs."""
 
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,6 +81,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "ways": WAYS,
     **LEVELS,
 }
+_VALUE = re.compile(r"-?[\d.]+")  # of the parameter in the name of a family's point
 _NAMED: Mapping[str, str] = {name: words for group in GROUPS.values() for name, words in group.items()}
 _OWN = {"foothold": "Sextant's foothold rule", "planner": "Sextant's step planner", "registration": "Sextant's registration"}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
@@ -146,12 +148,18 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     found, older = results_store.newest(runs)
     summaries = [batches.summarise(batch) for batch in found]
     places = {name: place for place, name in enumerate(_NAMED)}
-    pairs: dict[tuple[int, str, str, str, str], list[Trials]] = {}
+    pairs: dict[tuple[int, str, float, str, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
         place = places.get(unscaled_name(t.scenario), len(places))
-        pairs.setdefault((place, t.scenario, t.robot, t.gait, t.params), []).append(t)
+        pairs.setdefault((place, *_point_of(t.scenario), t.scenario, t.robot, t.gait, t.params), []).append(t)
     left_out = (f"{older} runs of an earlier program or scenario",) if older else ()
     return Campaign(tuple(Entry(*pairs[key]) for key in sorted(pairs)), left_out)
+
+
+def _point_of(scenario: str) -> tuple[str, float]:
+    """Return the family of a scenario and its value of the parameter, by which points are sorted; others have the value 0."""
+    family, _, value = unscaled_name(scenario).partition("@")
+    return (family, float(value)) if _VALUE.fullmatch(value) else (scenario, 0.0)
 
 
 def content(campaign: Campaign, table: str = "walks", seeds: bool = False) -> Table:

@@ -105,7 +105,7 @@ def run_curve(
     scenarios = [asked(family.at(value)) for value in chosen]
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
     batches = [
-        Batch(scenario, wanted, out / f"{value:g}", blind, say, run, keep_in)
+        Batch(scenario, wanted, out / scenario.name.rpartition("@")[2], blind, say, run, keep_in)
         for value, scenario in zip(chosen, scenarios, strict=True)
     ]
     points = [Point(value, batch.trials()) for value, batch in zip(chosen, run_batches(batches, jobs, cluster), strict=True)]

@@ -192,6 +192,14 @@ def test_table_rows_name_robot_if_there_are_several(tmp_path):
     assert len(json.loads(campaign_table.to_json(found))["terrains"]) == 2
 
 
+def test_points_of_a_family_are_in_the_order_of_their_values(tmp_path):
+    points = ["slope@30", "slope@5", "slope@10+x0.9", "slope@10", "riser@0.03"]
+    campaign.run_campaign(points, range(2), 1, tmp_path, run=Runner())
+    rows = campaign_table.markdown(campaign_table.of_runs(results_store.read(tmp_path / "campaign.jsonl")), "missteps")
+    found = [row.split("|")[1].strip(" `") for row in rows.splitlines()[2:7]]
+    assert found == ["riser@0.03", "slope@5", "slope@10", "slope@10+x0.9", "slope@30"]
+
+
 def test_reached_table_has_blind_baseline_column(tmp_path):
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, blind=True, run=Runner())
     rows = campaign_table.markdown(found, "reached").splitlines()
