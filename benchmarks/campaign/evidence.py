@@ -77,7 +77,7 @@ class Standing:
         if not changed:
             return Standing(bool(evidence.commits), "" if evidence.commits else "made by an unknown commit")
         named = ", ".join(changed[:_NAMED]) + (", ..." if len(changed) > _NAMED else "")
-        return Standing(False, f"{len(changed)} of {len(dependencies.files)} files changed since: {named}")
+        return Standing(False, f"{len(changed)} files changed since: {named}")
 
     @property
     def words(self) -> str:
