@@ -81,7 +81,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "ways": WAYS,
     **LEVELS,
 }
-_VALUE = re.compile(r"-?[\d.]+")  # of the parameter in the name of a family's point
+_VALUE = re.compile(r"-?\d+(?:\.\d+)?")  # of the parameter in the name of a family's point
 _NAMED: Mapping[str, str] = {name: words for group in GROUPS.values() for name, words in group.items()}
 _OWN = {"foothold": "Sextant's foothold rule", "planner": "Sextant's step planner", "registration": "Sextant's registration"}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell

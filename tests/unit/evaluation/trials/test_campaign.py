@@ -200,6 +200,16 @@ def test_points_of_a_family_are_in_the_order_of_their_values(tmp_path):
     assert found == ["riser@0.03", "slope@5", "slope@10", "slope@10+x0.9", "slope@30"]
 
 
+def test_name_that_only_looks_like_a_point_is_sorted_as_text(tmp_path):
+    names = ["mine@1.2.3", "mine@.", "mine@-", "mine@"]
+    runner = Runner()
+    for name in names:
+        course = replace(load_scenario("flat"), name=name)
+        campaign.run_campaign(["flat"], range(2), 1, tmp_path / "runs", asked=lambda _, course=course: course, run=runner)
+    found = campaign_table.of_runs(results_store.read(tmp_path / "runs/campaign.jsonl"))
+    assert [entry.seeing.scenario for entry in found.entries] == sorted(names)
+
+
 def test_reached_table_has_blind_baseline_column(tmp_path):
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, blind=True, run=Runner())
     rows = campaign_table.markdown(found, "reached").splitlines()

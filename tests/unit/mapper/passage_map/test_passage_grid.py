@@ -135,6 +135,8 @@ def test_hole_a_cell_wide_in_a_top_is_closed(height: float) -> None:
     np.testing.assert_allclose(closed.elevation, firm.elevation, atol=4e-4)
     np.testing.assert_allclose(closed.normals, firm.normals, atol=1e-6)
     np.testing.assert_allclose(closed.roughness, firm.roughness, atol=1e-6)
+    for layer in (closed.elevation, closed.normals, closed.roughness):
+        assert (layer.dtype, layer.flags.c_contiguous) == (np.float32, True), "compiled functions expect such arrays"
 
 
 @pytest.mark.parametrize("height", [np.nan, -0.1])
