@@ -6,14 +6,17 @@ Floats are rounded to six digits. NaN (nothing to measure) becomes null. Keys ar
 import dataclasses
 import json
 import math
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from sextant.shared.files import whole_files
 
 _NAN = float("nan")
 _DIGITS = 6
+_OF_CAMERA = "the camera "
 FILE = "report.json"
 ARRIVED = "goal reached"  # the reason of a run that succeeds by arriving
 
@@ -91,6 +94,15 @@ class ChosenGait:
     gait: str  # tripod, ripple or wave
     speed_mps: float  # [m/s] over level ground; 0 where the operator gives the speed
     reason: str  # class of the ground, a colon, and what decided, as text
+
+
+@dataclass(frozen=True, slots=True)
+class Warned:
+    """A warning of the robot about itself, as it was first given; with other numbers it is the same warning."""
+
+    time_s: float  # [s] since the start of the run
+    step: int  # [1] step of a group of legs
+    words: str  # the warning, as text
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +232,7 @@ class Report:
     map_error_m: MapError = MapError()  # of the map around the robot
     camera: CameraFound = CameraFound()  # errors of the camera's profile, estimated by the robot
     horns: HornsFound = HornsFound()  # errors of the horns, estimated by the robot; empty without a step
+    warnings: tuple[Warned, ...] = ()  # of servos, battery, legs and camera, in order
     hottest_servo_c: float = _NAN  # [deg C] highest temperature of any servo
     gait_choices: tuple[ChosenGait, ...] = ()  # of gait or kind of ground, if the planner chooses gait or speed
     course_map_m: CourseMap = CourseMap()  # of all maps of the run together
@@ -242,6 +255,17 @@ class Report:
         """Gait of the walk, and what else was chosen for it: no map, plug-ins."""
         named = (f"{kind} {name}" for kind, name in self.plugins.items())
         return ", ".join((self.gait, *["blind"] * self.blind, *named))
+
+
+def without_figures(words: str) -> str:
+    """Replace the numbers of a reason or warning, so that similar ones count together."""
+    return re.sub(r"\d+(\.\d+)?", "#", words)
+
+
+def camera_errors_named(finding: str) -> tuple[str, ...]:
+    """Return the statements of a sentence about the camera, such as `the camera looks 2 deg (1 to 3) lower`."""
+    said = finding.removeprefix(_OF_CAMERA).partition(" than its profile")[0]
+    return tuple(_OF_CAMERA + part for part in said.split(" and ") if part)
 
 
 def without_timing(report: Report) -> Report:
@@ -339,6 +363,9 @@ def _check(value: object, hint: Any, where: str, problems: list[str]) -> None:
     elif hint == bool | None:
         if value is not None and not isinstance(value, bool):
             problems.append(f"{place}: true, false or null expected, found {_shown(value)}")
+    elif NoneType in get_args(hint):
+        if value is not None:
+            _check(value, get_args(hint)[0], where, problems)
     elif hint is Any:
         return
     elif hint is float:

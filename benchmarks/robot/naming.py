@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.peers import kept
 from sextant.evaluation.lockstep.lockstep_run import LockstepRun
+from sextant.evaluation.report import camera_errors_named
 from sextant.evaluation.trials.statistics import wilson
 from sextant.shared.robot.profile import JOINTS, LEGS
 from sextant.shared.robot.profiles import load_profile
@@ -141,9 +142,7 @@ def _parts(sentence: str) -> list[str]:
         return [re.sub(r" *\d+ deg.*", "", sentence)]
     if not re.search(_NAMES[0], sentence):
         return []
-    said = sentence.removeprefix("the camera ").split(" than its profile")[0]
-    plain = re.sub(r" [\d.]+( deg| mm| ms|%) \([^)]*\)", "", said)
-    return plain.split(" and ")
+    return [re.sub(r" [\d.]+( deg| mm| ms|%) \([^)]*\)", "", named) for named in camera_errors_named(sentence)]
 
 
 def _share(hits: int, n: int) -> str:

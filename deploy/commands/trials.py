@@ -249,8 +249,8 @@ def _campaign(group: str, variant: options.Variant, seeds: Sequence[int], blind:
 )
 @option(
     "--of",
-    "content: walks, goals reached, those next to other planners, missteps, map errors, passages, or planned sections of these",
-    type=Choice(("walks", "reached", "baselines", "missteps", "maps", "passages", "sections")),
+    "content: walks, goals reached, those next to other planners, missteps, warnings, map errors, passages, or their sections",
+    type=Choice(("walks", "reached", "baselines", "missteps", "warnings", "maps", "passages", "sections")),
     default="walks",
 )
 @option(

@@ -371,6 +371,7 @@ class Scorer:
             camera=camera_found(self._heard),
             horns=horns_found(self._heard),
             gait_choices=gait_choices(self._heard),
+            warnings=tuple(self._heard.warnings.values()),
             hottest_servo_c=self._heard.hottest,
             course_map_m=CourseMap() if in_a_hurry else self._course_map(trace.mosaic),
         )

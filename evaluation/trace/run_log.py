@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.evaluation.report import Warned, camera_errors_named, without_figures
 from sextant.shared.geometry import Array
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.wire import topics
@@ -33,6 +34,7 @@ _UNUSED_OF_STATE = frozenset(("contact", "q", "load_nm", "feet", "T_odom_body"))
 _UNUSED_OF_POSE = frozenset(("T_world_odom", "covariance", "degenerate"))
 _COLUMNS = ("stamp_ns", "T_world_body", "q", "torque", "feet", "contact", "carries_load", "shutdown")
 _ROWS = 1024  # of a part of the columns
+_MOST_WARNINGS = 100  # that are kept
 _REFUSED_NS = 10_000_000_000  # [ns] minimum duration of a refusal: standing and reporting the reason
 
 
@@ -86,6 +88,7 @@ class RunLog:
         self.capture_to_plan_ns: list[int] = []  # [ns] from a depth image to the first cycle of a plan that is based on it
         self.camera_errors: CameraErrors | None = None  # the newest ones
         self.horn_errors: HornErrors | None = None  # the same
+        self.warnings: dict[str, Warned] = {}  # the first of each, by its words without figures
         self.refusal = ""  # the planner's reason for not going on, once it has lasted `_REFUSED_NS`
         self._newest_step = self._steps_before = 0  # newest step of the actuator, and the steps before its restart
         self._blocked_since_ns: int | None = None
@@ -105,7 +108,6 @@ class RunLog:
         self.hottest = float(np.fmax(self.hottest, truth.temperature))
         for pose in inbox.drain(topics.BODY_POSE):
             self.poses.append(_sharing(pose, self.poses, _UNUSED_OF_POSE))
-        self.camera_errors = inbox.latest(topics.CAMERA_ERRORS) or self.camera_errors
         self.horn_errors = inbox.latest(topics.HORN_ERRORS) or self.horn_errors
         states = inbox.drain(topics.ACTUATOR_STATE)
         for state in states:
@@ -114,8 +116,14 @@ class RunLog:
                 self._steps_before = min(self._steps_before + max(self._newest_step, 0), _MOST_STEPS)
             self._newest_step = state.step
             self.states.append(_sharing(self._counted_on(state), self.states, _UNUSED_OF_STATE))
+            for words in state.warnings:
+                self._warn(words, state.stamp_ns)
             if self.first_step_ns is None and state.mode is Mode.WALK:
                 self.first_step_ns = state.stamp_ns
+        for errors in inbox.drain(topics.CAMERA_ERRORS):
+            self.camera_errors = errors
+            for words in camera_errors_named(errors.finding):
+                self._warn(words, errors.stamp_ns)
         for plan in inbox.drain(topics.STEP_PLAN):
             self._map_ns[plan.stamp_ns] = plan.map_ns
             plan = self._counted_on(plan)
@@ -134,6 +142,13 @@ class RunLog:
     def _counted_on(self, message: Counted) -> Counted:
         step = message.step + self._steps_before
         return replace(message, step=step) if self._steps_before and abs(step) < _MOST_STEPS else message
+
+    def _warn(self, words: str, stamp_ns: int) -> None:
+        """Keep a warning if it is new."""
+        warning = without_figures(words)
+        if warning not in self.warnings and len(self.warnings) < _MOST_WARNINGS:
+            step = self.states[-1].step if self.states else 0
+            self.warnings[warning] = Warned((stamp_ns - self.begin_ns) * 1e-9, step, words)
 
     def _note(self, status: PlannerStatus) -> None:
         self.statuses.append(status)

@@ -101,6 +101,11 @@ _MISSTEPS: Columns = {
     "goal reached": lambda t: outcome(t),
     "missteps of a walk": lambda t: in_words(t.missteps, 1.0, ".0f"),
 }
+_WARNINGS: Columns = {
+    "goal reached": lambda t: outcome(t),
+    "walks with a warning": lambda t: _warned(t),
+    "most frequent": lambda t: _most_frequent(t),
+}
 _MAPS: Columns = {
     "rmse, mm": lambda t: in_words(t.map_rmse_m, 1e3, ".1f"),
     "off edges, mm": lambda t: in_words(t.map_off_edges_m, 1e3, ".1f"),
@@ -121,7 +126,14 @@ _PASSAGES: Columns = {
     "p99, ms": lambda t: _of_passages(t, lambda p: f"{p.planning_p99_ms:.1f}"),
     "expansions/s": lambda t: _of_passages(t, lambda p: f"{p.expansions_per_s:.0f}"),
 }
-TABLES: Mapping[str, Columns] = {"walks": _WALKS, "reached": {}, "missteps": _MISSTEPS, "maps": _MAPS, "passages": _PASSAGES}
+TABLES: Mapping[str, Columns] = {
+    "walks": _WALKS,
+    "reached": {},
+    "missteps": _MISSTEPS,
+    "maps": _MAPS,
+    "passages": _PASSAGES,
+    "warnings": _WARNINGS,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,6 +296,16 @@ def outcome(t: Trials) -> str:
     """Return the success rate, and the kind of success if it is not arrival."""
     either = t.passages is not None and t.passages.impassable > 0
     return _rate(t.success) + (", or rightly refused" if either else ", rightly refused" if t.refusals else "")
+
+
+def _warned(t: Trials) -> str:
+    """Return the walks in which the robot warned about itself; a dash if a walk does not record it."""
+    return "-" if t.with_warnings is None else f"{t.with_warnings} of {t.success.n}"
+
+
+def _most_frequent(t: Trials) -> str:
+    """Return the most frequent warning and its walks."""
+    return next((f"{words} ({count})" for words, count in t.warnings.items()), "-")
 
 
 def _of_passages(t: Trials, cell: Callable[[Passages], str]) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from sextant.evaluation import report as reports
-from sextant.evaluation.report import Passage
+from sextant.evaluation.report import Passage, Warned
 from sextant.shared.errors import SextantError
 from sextant.shared.files.input_file import FileError, parse_json, read_bytes
 from sextant.shared.files.whole_files import append_text, explained
@@ -78,6 +78,7 @@ class Run:
     passage: Passage = _NO_PASSAGE  # left out of the line of a run without a gap
     machine: str = ""  # that made it, if the line records it
     params: str = ""  # plug-ins, and parameters that differ from their defaults, as text
+    warnings: tuple[Warned, ...] | None = None  # of the robot about itself; None in a line that does not record them
 
     @classmethod
     def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str, machine: str = "", params: str = "") -> Self:
@@ -101,11 +102,14 @@ class Run:
                 "deviation": {},
                 "gait_choices": [],
                 "hottest_servo_c": None,
+                "warnings": None,
             } | report  # older reports do not have them
             report["passage"] = _with_tipped(report.get("passage"))
         entry = _LEFT_OUT | entry
         entry["passage"] = _with_tipped(entry["passage"])
-        problems = reports.check(entry, cls) if report is None else reports.check(report)
+        problems = (
+            reports.check(entry, cls) if report is None else reports.check(report | {"warnings": report["warnings"] or []})
+        )
         if problems:
             raise ValueError("; ".join(problems))
         if report is None:
@@ -115,7 +119,9 @@ class Run:
     @classmethod
     def _numbered(cls, values: dict[str, Any]) -> Self:
         numbered: dict[str, Any] = {name: float("nan") if value is None else value for name, value in values.items()}
-        return cls(**{**numbered, "passage": reports.passage_of(values["passage"])})
+        warnings = values["warnings"]
+        told = None if warnings is None else tuple(Warned(**warned) for warned in warnings)
+        return cls(**{**numbered, "passage": reports.passage_of(values["passage"]), "warnings": told})
 
     def line(self) -> dict[str, Any]:
         """Return the run as a table, without default values."""
@@ -128,7 +134,7 @@ def _with_tipped(passage: Any) -> Any:
     return {"tipped": 0} | passage if isinstance(passage, dict) else passage
 
 
-_LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": "", "params": ""}
+_LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": "", "params": "", "warnings": None}
 _NAMES = tuple(field.name for field in fields(Run))
 _PLACES = {  # path in a report, where it differs from the field's name
     "tilt_p95_deg": "tilt_deg.p95",

@@ -8,8 +8,8 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,6 +30,7 @@ from sextant.shared.runtime.stopwatch import stopwatch_ns
 from sextant.shared.runtime.workers import share_out
 from sextant.shared.scenario.scenario import Scenario
 
+_LISTED = 8  # warnings
 _BUSY = 0.85  # [1] CPU time of the walks over their elapsed time below which other work delayed them
 Runner = Callable[[Scenario, int], Report]
 
@@ -111,6 +112,8 @@ class Trials:
     made: Made
     params: str = ""  # plug-ins, and parameters that differ from their defaults, as text
     passages: Passages | None = None  # None if no run planned to cross a gap, or had one to cross
+    with_warnings: int | None = None  # runs in which the robot warned about itself; None if a run does not record it
+    warnings: dict[str, int] = field(default_factory=dict)  # warning without its numbers -> runs, most frequent first
 
 
 class Batch:
@@ -306,7 +309,8 @@ def summarise(runs: Sequence[Run]) -> Trials:
     All runs have the same scenario, robot, gait and parameters, and are all sighted or all blind.
     """
     good = [run for run in runs if run.success]
-    failures = Counter(_without_figures(run.reason) for run in runs if not run.success)
+    failures = Counter(reports.without_figures(run.reason) for run in runs if not run.success)
+    warnings = Counter(words for run in runs for words in {reports.without_figures(one.words) for one in run.warnings or ()})
     first = runs[0]
     return Trials(
         scenario=first.scenario,
@@ -339,12 +343,18 @@ def summarise(runs: Sequence[Run]) -> Trials:
         map_edge_m=_figure([run.map_edge_m for run in runs]),
         map_coverage=_figure([run.map_coverage for run in runs], min),
         real_time_factor=_figure([run.real_time_factor for run in runs], min),
-        failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
+        failures=_most_frequent_first(failures),
         failed_seeds=tuple(run.seed for run in runs if not run.success),
         made=Made.of([(run.commit, run.time) for run in runs]),
         params=first.params,
         passages=_passages(runs),
+        with_warnings=None if any(run.warnings is None for run in runs) else sum(bool(run.warnings) for run in runs),
+        warnings=_most_frequent_first(warnings),
     )
+
+
+def _most_frequent_first(counts: Mapping[str, int]) -> dict[str, int]:
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 def _passages(runs: Sequence[Run]) -> Passages | None:
@@ -416,6 +426,9 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     lines += [f"  {count:3d} x {reason}" for reason, count in trials.failures.items()]
     if trials.failed_seeds:
         lines.append(f"  failed seeds: {', '.join(map(str, trials.failed_seeds))}")
+    lines += [f"  {count:3d} x warning: {words}" for words, count in list(trials.warnings.items())[:_LISTED]]
+    if len(trials.warnings) > _LISTED:
+        lines.append(f"  and {len(trials.warnings) - _LISTED} rarer warnings")
     lines.append(f"  made {trials.made.words}")
     if baseline is not None:
         d = compare(trials, baseline)
@@ -483,14 +496,6 @@ def _rate_words(trials: Trials) -> str:
     interval = f"95 %: {100 * r.low:.0f} to {100 * r.high:.0f} %"
     did = "rightly refused" if trials.refusals else "reached the goal"
     return f"{what}: {r.successes} of {r.n} {did}, {100 * r.rate:.0f} % ({interval})"
-
-
-def _without_figures(reason: str) -> str:
-    """Replace the numbers of a reason, so that similar reasons count together."""
-    out = "".join("#" if c.isdigit() else c for c in reason)
-    while "##" in out or "#.#" in out:
-        out = out.replace("#.#", "#").replace("##", "#")
-    return out
 
 
 def _figure(values: Sequence[float], worst: Callable[[list[float]], float] = max) -> Figure:

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from sextant.evaluation.report import Warned
 from sextant.evaluation.trace.run_log import RunLog, TruthLog
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox, Stages
 from sextant.shared.wire import codec, topics
-from sextant.shared.wire.messages import ActuatorState, GroundTruth, Mode, StepPlan
+from sextant.shared.wire.messages import ActuatorState, CameraErrors, GroundTruth, Mode, StepPlan
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")
@@ -55,6 +56,42 @@ def test_time_from_image_to_executed_plan_counts_each_map_once() -> None:
         inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), 0)
         heard.take_in(truth, inbox)
     assert heard.capture_to_plan_ns == [60, 90], "renewals, older maps, and plans without a map do not count"
+
+
+def test_each_warning_is_kept_once_with_its_first_step() -> None:
+    heard, inbox = RunLog(), Inbox(topics.TOPICS, Stages())
+    heard.take_in(ground_truth(1_000_000_000), inbox)
+    for step, warnings in ((3, ("a horn is off by about 3 deg",)), (4, ("a horn is off by about 4 deg", "hot"))):
+        state = actuator_state(PROFILE, stamp_ns=step * 1_000_000_000, step=step, warnings=warnings)
+        inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), 0)
+        heard.take_in(ground_truth(step * 1_000_000_000), inbox)
+    named = "the camera looks 2.9 deg (2.6 to 3.2) lower"
+    for finding in (
+        "",
+        f"{named} and sits 9 mm (8 to 10) higher than its profile says: run `x`",
+        f"{named} than its profile",
+        "",
+    ):
+        errors = CameraErrors(5_000_000_000, np.zeros(6), np.ones(6), np.zeros(6), finding)
+        inbox.receive(topics.CAMERA_ERRORS, codec.encode(errors), 0)
+        heard.take_in(ground_truth(5_000_000_000), inbox)
+    assert list(heard.warnings.values()) == [
+        Warned(2.0, 3, "a horn is off by about 3 deg"),
+        Warned(3.0, 4, "hot"),
+        Warned(4.0, 4, named),
+        Warned(4.0, 4, "the camera sits 9 mm (8 to 10) higher"),
+    ]
+    assert heard.camera_errors is not None
+    assert heard.camera_errors.finding == "", "the newest one"
+
+
+def test_number_of_kept_warnings_is_limited() -> None:
+    heard, inbox = RunLog(), Inbox(topics.TOPICS, Stages())
+    for number in range(300):
+        state = actuator_state(PROFILE, warnings=("x" * number,))
+        inbox.receive(topics.ACTUATOR_STATE, codec.encode(state), 0)
+        heard.take_in(ground_truth(0), inbox)
+    assert len(heard.warnings) == 100
 
 
 def test_truth_is_kept_in_columns() -> None:

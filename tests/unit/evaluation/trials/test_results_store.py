@@ -21,6 +21,7 @@ from sextant.evaluation.report import (
     Slip,
     Spread,
     Torque,
+    Warned,
 )
 from sextant.evaluation.trials import results_store
 from sextant.evaluation.trials.results_store import Run
@@ -86,6 +87,33 @@ def test_passage_and_machine_are_stored(tmp_path):
     results_store.keep(tmp_path / "campaign.jsonl", [run])
     assert results_store.read(tmp_path / "campaign.jsonl") == [run]
     assert (run.passage, run.machine) == (passage, "a fast one")
+
+
+@pytest.mark.parametrize("warnings", [(), (Warned(3.5, 4, "the camera looks 2.9 deg lower"), Warned(5.25, 6, "battery low"))])
+def test_warnings_are_stored_also_if_there_are_none(tmp_path, warnings):
+    run = Run.read(_entry(replace(REPORT, warnings=warnings)))
+    results_store.keep(tmp_path / "campaign.jsonl", [run])
+    (read,) = results_store.read(tmp_path / "campaign.jsonl")
+    assert read.warnings == run.warnings == warnings
+
+
+def test_line_without_warnings_does_not_record_them(tmp_path):
+    entry = _entry()
+    del entry["report"]["warnings"]
+    run = Run.read(entry)
+    results_store.keep(tmp_path / "campaign.jsonl", [run])
+    (read,) = results_store.read(tmp_path / "campaign.jsonl")
+    assert read.warnings is run.warnings is None
+
+
+@pytest.mark.parametrize("warnings", ["none", [1], [{"time_s": 1.0, "step": 2}]])
+def test_invalid_warnings_are_refused(warnings):
+    entry = _entry()
+    entry["report"]["warnings"] = warnings
+    with pytest.raises(ValueError, match="warnings"):
+        Run.read(entry)
+    with pytest.raises(ValueError, match="warnings"):
+        Run.read(Run.read(_entry()).line() | {"warnings": warnings})
 
 
 @given(st.dictionaries(st.sampled_from([f.name for f in fields(Run) if f.type is float]), st.floats(-1e3, 1e3) | st.none()))

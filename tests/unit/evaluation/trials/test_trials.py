@@ -9,8 +9,9 @@ import pytest
 
 from sextant.evaluation import report as reports
 from sextant.evaluation.provenance import Made
-from sextant.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread
-from sextant.evaluation.trials import environment, trials
+from sextant.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread, Warned
+from sextant.evaluation.trials import campaign_table, environment, trials
+from sextant.evaluation.trials.results_store import Run
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.scenario import Goal, Scenario
 from sextant.shared.scenario.terrain import HeightMap, Plane, Rubble
@@ -52,6 +53,11 @@ def _report(scenario, seed):
     )
 
 
+def table_of(summaries, name):
+    campaign = campaign_table.Campaign(tuple(map(campaign_table.Entry, summaries)), ())
+    return campaign_table.markdown(campaign, name)
+
+
 class Runner:
     def __init__(self, until=100):
         self.seeds = []
@@ -91,6 +97,25 @@ def test_batch_summary(tmp_path):
     assert said[-1].endswith("took 0 s")
     assert "seed   3  FAIL" in said[4]
     assert "(4 of 10)" in said[-1]
+
+
+def test_warnings_count_once_a_walk_whatever_their_numbers(tmp_path):
+    def run(scenario, seed):
+        told = [Warned(1.0, 2, f"the camera looks {seed}.5 deg lower")] * (seed > 0) + [Warned(2.0, 3, "hot")] * (seed == 2)
+        return replace(_report(scenario, seed), warnings=tuple(told))
+
+    result = trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=run)
+    assert result.with_warnings == 2
+    assert list(result.warnings.items()) == [("the camera looks # deg lower", 2), ("hot", 1)]
+    assert "2 x warning: the camera looks # deg lower" in trials.words(result)
+    assert "| 2 of 3 | the camera looks # deg lower (2) |" in table_of([result], "warnings")
+
+
+def test_warnings_of_older_lines_are_unknown(tmp_path):
+    runs = [replace(Run.read({"report": reports.as_table(_report(SCENARIO, seed))}), warnings=None) for seed in (0, 2)]
+    result = trials.summarise([runs[0], replace(runs[1], warnings=())])
+    assert result.with_warnings is None
+    assert "| - | - |" in table_of([result], "warnings")
 
 
 def test_interrupted_batch_resumes(tmp_path):
