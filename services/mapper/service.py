@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sextant.services.mapper.config import Settings
 from sextant.services.mapper.elevation.elevation_grid import ElevationGrid, ElevationSnapshot
-from sextant.services.mapper.elevation.foot_evidence import FootEvidence, feet_show_ground
+from sextant.services.mapper.elevation.foot_evidence import FootEvidence
 from sextant.services.mapper.elevation.fusion import FusionModel
 from sextant.services.mapper.elevation.ground_changes import GroundChanges
 from sextant.services.mapper.elevation.scan_admission import ScanAdmission
@@ -95,9 +95,8 @@ class Mapper:
             if self._feet.is_refuted(self._grid, scan.stamp_ns, pose, legs):
                 self._reset_map(centre)
                 return
-            if not self._knows_start and feet_show_ground(legs):
-                assume_start_ground(self._grid, self._settings, self._profile.foot.radius, pose, legs)
-                self._knows_start = True
+            if not self._knows_start:
+                self._knows_start = assume_start_ground(self._grid, self._settings, self._profile.foot.radius, pose, legs)
         if self._profile.camera.color and (len(scan.color) or self._types.has_types):
             with self.stages("terrain type"):
                 self._types.update(scan, self._grid, pose, legs)

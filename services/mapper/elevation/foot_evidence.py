@@ -10,6 +10,7 @@ from sextant.shared.wire.messages import ActuatorState, BodyPose, Mode
 # [m] largest height difference between a foot and the map; beyond it, pose and map do not belong together
 MAX_HEIGHT_ERROR_M = 0.30
 _FARTHEST_FOOT_M = 1.0  # [m] from the body
+_MIN_STANDING = 2  # minimum number of feet that carry load if the robot stands: a body balances on two feet and brushes others
 _MIN_LOADED_FEET = 5  # minimum number of feet that carry load before the first step
 _CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m], [ns] height error and its duration from which feet refute the map
 _SOLE_RADIUS_M, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the minimum share of the cells there that must agree with it
@@ -107,6 +108,13 @@ class FootEvidence:
         above = grid.heights(around) - foot[2]
         known = above[np.isfinite(above)]
         return bool(len(known)) and float(np.mean(np.abs(known) < _CONTRADICTED)) < _SOLE_AGREES
+
+
+def may_stand(legs: ActuatorState) -> bool:
+    """Return whether the robot may stand on all feet, of which two carry load, before its first step."""
+    near = np.abs(legs.feet).max() < _FARTHEST_FOOT_M
+    starts = legs.step == 0 and not legs.swing.any() and legs.mode in (Mode.STAND, Mode.HOLD, Mode.WALK)
+    return bool(starts and np.count_nonzero(legs.contact) >= _MIN_STANDING and near)
 
 
 def feet_show_ground(legs: ActuatorState) -> bool:
