@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from sextant.services.planner.roadmap.params import BareGroundParams
@@ -53,9 +54,9 @@ def has_wide_places(field: StripMap, params: BareGroundParams, middle: int) -> b
         middle: [cells] highest evaluation function of a middle.
     """
     carries = (field.evaluation < 0) & bare(field, params)[:, None]
-    wide = carries & (field.evaluation <= middle)
-    for axis in range(2):  # the cells around each middle, as far as its edges
-        wide = np.logical_or.reduce([np.roll(wide, shift, axis) for shift in range(middle, 1 - middle)])
+    middles = np.pad(carries & (field.evaluation <= middle), -middle)
+    around = 1 - 2 * middle  # [cells] from one edge of a middle to the other
+    wide = np.asarray(sliding_window_view(middles, (around, around)).any(axis=(2, 3)))
     return bool(carries.any() and wide[carries].mean() >= _WIDE_SHARE)
 
 

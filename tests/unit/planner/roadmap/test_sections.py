@@ -38,6 +38,16 @@ def test_section_goal_lies_behind_gap_and_not_beyond_target(x: float, target: fl
         assert goal == target or goal == pytest.approx(BEHIND, abs=EDGE) or target < NEAR + GAP + EDGE
 
 
+def test_middle_at_one_border_does_not_widen_places_at_the_other() -> None:
+    evaluation = np.full((40, 60), 9, dtype=np.int8)  # all of it is a gap, but
+    evaluation[20:22, :6] = [-5, -5, -4, -3, -2, -1]  # ground with a middle at the left border
+    evaluation[18:24, -6:] = -1  # and more, without a middle, at the right one
+    field = replace(PILLARS, elevation=np.zeros_like(evaluation, dtype=np.float32), evaluation=evaluation)
+    assert not sections.has_wide_places(field, BareGroundParams(), -5)
+    evaluation[18:24, -6:] = -5
+    assert sections.has_wide_places(field, BareGroundParams(), -5)
+
+
 def test_continuous_ground_has_no_section_goal() -> None:
     """Check that there is no goal either if the target lies beyond the strip.
 
