@@ -117,10 +117,7 @@ class MapError:
 
 @dataclass(frozen=True, slots=True)
 class CourseMap:
-    """Mosaic of a run's maps minus the true ground.
-
-    Each cell holds its newest measurement. Names are those of `python -m benchmarks accuracy`; assumed cells are excluded.
-    """
+    """Mosaic of a run's maps, the newest value of each cell, minus the true ground, as in `python -m benchmarks accuracy`."""
 
     rmse: float = _NAN  # [m] root mean square error
     off_edges: float = _NAN  # [m] root mean square error of cells further than 2 cm from an edge
@@ -139,10 +136,7 @@ class FootholdEdge:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Result of planning at one stop of a passage.
-
-    Fields are those of `sextant.shared.wire.messages.PassagePlan`.
-    """
+    """Result of planning at one stop of a passage; fields are those of `sextant.shared.wire.messages.PassagePlan`."""
 
     state: str  # result of the search
     reason: str  # why there is no way; empty if there is one
