@@ -261,14 +261,22 @@ def _footnotes(campaign: Campaign, table: str) -> list[str]:
     if len({(t.robot, t.gait, t.params) for t in sighted}) == 1:  # otherwise the sum is of no robot
         together = wilson(sum(t.success.successes for t in sighted), sum(t.success.n for t in sighted))
         words.append(f"Together {_rate(together)} reached the goal.")
-    words += ["Median (worst) of the runs."] if table != "reached" else []
+    words += ["Median (worst) of the runs."] if table not in ("reached", "warnings") else []
     words += ["In parentheses: missteps in steps of a group of legs."] if table == "walks" else []
+    words += [_warnings_in_words(walked)] if table == "warnings" else []
     return [
         " ".join([*words, _seeds_in_words(campaign, walked)]),
         *(words for t in walked for words in _of_ways(t)),
         *(f"Made {made.words}." for made in Made.joined(t.made for t in walked)),
         *(f"Left out: {words}." for words in campaign.left_out),
     ]
+
+
+def _warnings_in_words(walked: Sequence[Trials]) -> str:
+    """Return in how many walks the robot warned about itself, of those that record it."""
+    known = [t for t in walked if t.with_warnings is not None]
+    warned = sum(t.with_warnings or 0 for t in known)
+    return f"Warnings in {warned} of {sum(t.success.n for t in known)} walks; # stands for a number."
 
 
 def _seeds_in_words(campaign: Campaign, walked: Sequence[Trials]) -> str:

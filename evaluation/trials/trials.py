@@ -310,7 +310,7 @@ def summarise(runs: Sequence[Run]) -> Trials:
     """
     good = [run for run in runs if run.success]
     failures = Counter(reports.without_figures(run.reason) for run in runs if not run.success)
-    warnings = Counter(words for run in runs for words in {reports.without_figures(one.words) for one in run.warnings or ()})
+    warnings = Counter(kind for run in runs for kind in {_kind_of(one.words) for one in run.warnings or ()})
     first = runs[0]
     return Trials(
         scenario=first.scenario,
@@ -351,6 +351,11 @@ def summarise(runs: Sequence[Run]) -> Trials:
         with_warnings=None if any(run.warnings is None for run in runs) else sum(bool(run.warnings) for run in runs),
         warnings=_most_frequent_first(warnings),
     )
+
+
+def _kind_of(warning: str) -> str:
+    """Return a warning without its numbers, and without the feet that slip."""
+    return reports.without_figures("slipping" if warning.startswith("slipping: ") else warning)
 
 
 def _most_frequent_first(counts: Mapping[str, int]) -> dict[str, int]:

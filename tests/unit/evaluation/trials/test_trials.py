@@ -101,14 +101,18 @@ def test_batch_summary(tmp_path):
 
 def test_warnings_count_once_a_walk_whatever_their_numbers(tmp_path):
     def run(scenario, seed):
-        told = [Warned(1.0, 2, f"the camera looks {seed}.5 deg lower")] * (seed > 0) + [Warned(2.0, 3, "hot")] * (seed == 2)
+        told = [Warned(1.0, 2, f"the camera looks {seed}.5 deg lower")] * (seed > 0)
+        told += [Warned(2.0, 3, "slipping: left front"), Warned(2.1, 3, "slipping: left front, right rear")] * (seed == 2)
         return replace(_report(scenario, seed), warnings=tuple(told))
 
     result = trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=run)
     assert result.with_warnings == 2
-    assert list(result.warnings.items()) == [("the camera looks # deg lower", 2), ("hot", 1)]
+    assert list(result.warnings.items()) == [("the camera looks # deg lower", 2), ("slipping", 1)]
     assert "2 x warning: the camera looks # deg lower" in trials.words(result)
-    assert "| 2 of 3 | the camera looks # deg lower (2) |" in table_of([result], "warnings")
+    table = table_of([result], "warnings")
+    assert "| 2 of 3 | the camera looks # deg lower (2) |" in table
+    assert "Warnings in 2 of 3 walks" in table
+    assert "Median" not in table
 
 
 def test_warnings_of_older_lines_are_unknown(tmp_path):
