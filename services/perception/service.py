@@ -61,7 +61,7 @@ class Perception:
         self._profile = profile
         self._time_offset_ns = round(profile.camera.time_offset_s * 1e9)
         self._rectify = Rectifier(intrinsics, profile.camera.distortion)
-        self._rectify_gray = Rectifier(intrinsics.gray, profile.camera.distortion, cv2.INTER_LINEAR)
+        self._rectify_gray = Rectifier(intrinsics.gray, profile.camera.distortion)
         profile = replace(profile, camera=profile.camera.rectified)
         self._settings, self._camera = settings, profile.camera
         self._odometry = OdometryHistory()
@@ -127,8 +127,8 @@ class Perception:
 
     def _rectified(self, image: DepthImage) -> DepthImage:
         """Return an image without distortion."""
-        depth = self._rectify(image.depth)
-        return image if depth is image.depth else replace(image, depth=depth, gray=self._rectify_gray(image.gray))
+        depth = self._rectify.depth(image.depth)
+        return image if depth is image.depth else replace(image, depth=depth, gray=self._rectify_gray.picture(image.gray))
 
     def _exposed_ns(self, image: DepthImage | ColorImage) -> int:
         """Return the time [ns] at which an image was exposed."""
@@ -247,7 +247,7 @@ class Perception:
         if picture is None:
             return scan
         with self.stages("color"):
-            color = coloring.colors(scan.points, self._exposed_ns(picture), self._rectify(picture.rgb))
+            color = coloring.colors(scan.points, self._exposed_ns(picture), self._rectify.picture(picture.rgb))
         if coloring.problem:
             self._words += f"; {coloring.problem}"
         return replace(scan, color=color) if len(color) else scan

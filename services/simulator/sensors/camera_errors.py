@@ -1,16 +1,12 @@
 """Systematic errors of a depth camera of which its profile knows nothing: lens distortion, depth scale and bias."""
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sextant.shared.resampling import resampled
 from sextant.shared.robot.camera import Intrinsics
 from sextant.shared.robot.profile import Camera
-
-_NEIGHBOURS = np.ones((3, 3), np.uint8)
-_ON_SURFACE = np.float32(0.03)  # [1] largest relative change of the inverse depth of a surface between neighbours of a pixel
 
 
 class CameraErrors:
@@ -30,32 +26,22 @@ class CameraErrors:
 
     def depth(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the inverse depth (h, w) [1/m] that the camera measures; 0 without a surface."""
-        w = inverse_depth if self._seen_at is None else self._distorted_depth(inverse_depth)
+        w = inverse_depth if self._seen_at is None else resampled(inverse_depth, *self._seen_at)
         if self._is_exact:
             return w
         return np.where(w > 0.0, np.maximum(w * self._scale - self._bias, np.float32(0.0)), np.float32(0.0))
 
     def color(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the colour image (h, w, 3) that the camera takes."""
-        return rgb if self._seen_at is None else self._distort(rgb, cv2.INTER_LINEAR)
+        if self._seen_at is None:
+            return rgb
+        return np.asarray(cv2.remap(rgb, *self._seen_at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
 
     def gray(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the grey image that the camera takes."""
         if self._gray_seen_at is None:
             return image
         return np.asarray(cv2.remap(image, *self._gray_seen_at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-
-    def _distorted_depth(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the image through the lens, interpolated on surfaces, where inverse depth is linear, but not at edges."""
-        change = cv2.dilate(inverse_depth, _NEIGHBOURS) - cv2.erode(inverse_depth, _NEIGHBOURS)
-        is_edge = self._distort((change > _ON_SURFACE * inverse_depth).astype(np.uint8), cv2.INTER_NEAREST)
-        nearest = self._distort(inverse_depth, cv2.INTER_NEAREST)
-        between = self._distort(inverse_depth, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
-        return np.where(is_edge | (nearest == 0.0), nearest, between)
-
-    def _distort(self, image: NDArray[Any], interpolation: int, border: int = cv2.BORDER_CONSTANT) -> NDArray[Any]:
-        assert self._seen_at is not None
-        return np.asarray(cv2.remap(image, *self._seen_at, interpolation, borderMode=border))
 
 
 def _undistorted_pixels(lens: Intrinsics, k1: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

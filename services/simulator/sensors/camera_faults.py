@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.geometry import Array
+from sextant.shared.resampling import resampled
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
 
 _SUN_PERIOD_M, _SUN_SHARE = 0.5, 0.7  # stripes of sunlight on the ground, as through a window, and their share of it
@@ -100,7 +101,7 @@ class CameraFaults:
         lens = self._lens
         u = ((self._u - cx) / fx * lens.fx + lens.cx).astype(np.float32)
         v = ((self._v - cy) / fy * lens.fy + lens.cy).astype(np.float32)
-        return np.asarray(cv2.remap(w, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT))
+        return resampled(w, u, v)
 
     def _points(self, w: NDArray[np.float32], T: Array) -> tuple[NDArray[np.float32], ...]:
         """Return x, y and z [m] {world}, each (h, w), of the surfaces of an image of inverse depth [1/m]."""

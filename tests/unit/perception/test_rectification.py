@@ -17,19 +17,20 @@ def test_rectified_image_of_a_distorted_plane_is_affine_again() -> None:
     plane = (0.5 + 2e-4 * u + 1e-3 * v).astype(np.float32)  # [1/m] inverse depth
     seen = CameraErrors(replace(CAMERA, distortion=0.1, depth_error=0.0), 0.0).depth(plane)
     raw = np.where(seen > 0.0, np.rint(1000.0 / np.maximum(seen, 1e-3)), 0.0).astype(np.uint16)
-    found = Rectifier(lens, 0.1)(raw)
+    found = Rectifier(lens, 0.1).depth(raw)
     inside = found > 0
     assert inside.mean() > 0.9
     error = np.abs(1000.0 / found[inside] - plane[inside])
     assert np.abs(1000.0 / raw[raw > 0] - plane[raw > 0]).max() > 5e-3
-    assert error.max() < 2.5e-3  # two pixels
+    assert np.mean(error < 1e-3) > 0.98  # the rounding of both images, in place of two steps of a pixel
+    assert error.max() < 2.5e-3  # at the border
 
 
 def test_without_distortion_and_for_another_size_the_image_stays() -> None:
     raw = np.ones((CAMERA.intrinsics.height, CAMERA.intrinsics.width), dtype=np.uint16)
-    assert Rectifier(CAMERA.intrinsics, 0.0)(raw) is raw
+    assert Rectifier(CAMERA.intrinsics, 0.0).depth(raw) is raw
     small = raw[:10, :10]
-    assert Rectifier(CAMERA.intrinsics, 0.1)(small) is small
+    assert Rectifier(CAMERA.intrinsics, 0.1).depth(small) is small
 
 
 def test_rectified_camera_measures_true_depth() -> None:

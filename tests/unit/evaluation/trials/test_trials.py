@@ -99,7 +99,7 @@ def test_batch_summary(tmp_path):
     assert "(4 of 10)" in said[-1]
 
 
-def test_warnings_count_once_a_walk_whatever_their_numbers(tmp_path):
+def test_warnings_count_once_a_walk_with_any_numbers(tmp_path):
     def run(scenario, seed):
         told = [Warned(1.0, 2, f"the camera looks {seed}.5 deg lower")] * (seed > 0)
         told += [Warned(2.0, 3, "slipping: left front"), Warned(2.1, 3, "slipping: left front, right rear")] * (seed == 2)
