@@ -34,15 +34,14 @@ def load_scenario(name_or_path: str) -> Scenario:
             return scenario.scaled(scale)
         return scenario.with_trouble(load_trouble(added), f"{scenario.name}+{added}")
     if name_or_path.endswith(".toml"):
-        return _with_folder(config.load(Path(name_or_path), Scenario), Path(name_or_path).parent)
+        return _of_file(Path(name_or_path))
     family, at, value = name_or_path.rpartition("@")
     if at and "/" not in value:
         return _point(family, value)
     known, families = scenario_names(), family_names()
     if name_or_path not in known:
         if name_or_path in families:
-            words = f"{name_or_path!r} is a family of scenarios; a point of it expected, such as {point_names(name_or_path)[1]}"
-            raise config.ConfigError("scenario", [f"{words}; `sextant trials {name_or_path} --curve` walks all of them"])
+            raise _no_point(name_or_path, point_names(name_or_path)[1])
         near = hint(name_or_path, [*known, *families])
         ways = f"{near}; or give a point of a family, such as riser@0.05, or a path that ends in .toml"
         raise config.ConfigError("scenario", [f"no scenario {name_or_path[:60]!r}; {ways}"])
@@ -102,6 +101,20 @@ def family_names() -> list[str]:
 def point_names(family: str) -> list[str]:
     """Return the names of the scenarios of a bundled family at its values: `riser@0.03` and so on."""
     return [point_name(family, value) for value in _family(family).family.values]
+
+
+def _of_file(path: Path) -> Scenario:
+    table = config.read(path)
+    if {"scenario", "depends"} <= table.keys():
+        family = config.build(table, Family, str(path))
+        raise _no_point(str(path), f"{path}@{family.values[0]:g}")
+    return _with_folder(config.build(table, Scenario, str(path)), path.parent)
+
+
+def _no_point(family: str, point: str) -> config.ConfigError:
+    """Return the error about a family that was given in place of a scenario."""
+    words = f"{family!r} is a family of scenarios; a point of it expected, such as {point}"
+    return config.ConfigError("scenario", [f"{words}; `sextant trials {family} --curve` walks all of them"])
 
 
 def _point(family: str, value: str) -> Scenario:

@@ -147,6 +147,19 @@ def test_value_or_family_that_does_not_exist_is_refused(name, words):
         load_scenario(name)
 
 
+def test_file_of_a_family_in_place_of_a_scenario_is_named_as_such(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_text(OWN, encoding="utf-8")
+    words = (
+        f"'{own}' is a family of scenarios; a point of it expected, such as {own}@0.02; `sextant trials {own} --curve` walks"
+    )
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        load_scenario(str(own))
+    own.write_text(OWN.replace("values = [0.02, 0.05]", "values = 3"), encoding="utf-8")
+    with pytest.raises(ConfigError, match="values: a list expected, found 3"):
+        load_scenario(str(own))
+
+
 def test_unknown_family_is_refused_with_the_nearest_name():
     with pytest.raises(ConfigError, match="no family of scenarios 'risr'; did you mean 'riser'"):
         load_family("risr")
