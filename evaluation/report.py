@@ -117,7 +117,7 @@ class MapError:
 
 @dataclass(frozen=True, slots=True)
 class CourseMap:
-    """Mosaic of a run's maps, the newest value of each cell, minus the true ground, as in `python -m benchmarks accuracy`."""
+    """Mosaic of a run's maps, the newest measurement of each cell, minus the true ground; assumed cells are excluded."""
 
     rmse: float = _NAN  # [m] root mean square error
     off_edges: float = _NAN  # [m] root mean square error of cells further than 2 cm from an edge

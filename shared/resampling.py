@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 D = TypeVar("D", np.uint16, np.float32)
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
-_ON_SURFACE = 0.04  # [1] largest relative change of the depth of a surface among the neighbours of a pixel
+_ON_SURFACE = np.float32(0.04)  # [1] largest relative change of the depth of a surface among the neighbours of a pixel
 
 
 def resampled(depth: NDArray[D], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[D]:

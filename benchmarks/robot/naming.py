@@ -112,7 +112,7 @@ def _walk(kind: str, name: str, seed: int) -> Walk:
     """Walk for `_STEPS` steps, and listen to what the robot names."""
     wrong = error(kind, seed)
     scenario = replace(load_scenario(name), mismatch=_OneError(changes=wrong.changes))
-    said: dict[str, int] = {}  # step at which each sentence was said first
+    said: dict[str, int] = {}  # sentence -> step at which the robot said it first
     step = 0
 
     def listen(topic: AnyTopic, frame: bytes, _at_ns: int) -> None:

@@ -13,8 +13,8 @@ _COLOR_RANGE_M = 0.20  # [m] length of the band beyond the assumed ground that i
 _MAX_PLANE_DEVIATION_M = 0.01  # [m] largest deviation from a plane, for ground that continues it and for feet that stand on it
 _MIN_SEEN_SHARE = 0.3  # [1] minimum share of measured points ahead for this comparison
 _PERCENTILE = 95  # [%] of their deviations that is compared with it
-# Ground ahead that shows that a robot stands on a plane though its feet do not: largest deviation [m] from a plane of its own,
-# and of that plane from the feet's in height [m] and slope [m/m], which come from errors of the camera and of the legs.
+# Flat ground ahead of a robot that stands on few feet: its largest deviation [m] from a plane of its own. Errors of camera and
+# legs change the height [m] and the slope [m/m] of that plane against the plane of the feet, by this much at most.
 _FLAT_M, _MOST_OFF_M, _MOST_SLOPE = 0.005, 0.05, 0.10
 
 
