@@ -162,18 +162,19 @@ def trials(scenario: str, variant: options.Variant, seeds: Sequence[int], blind:
         return _campaign(scenario, variant, seeds, blind, place)
     course = variant.load(scenario)
     folder = out_folder(place.out, f"trials-{course.name}")
-    from sextant.evaluation.trials import trials as batches
+    from sextant.evaluation.trials.summary import to_json, words
+    from sextant.evaluation.trials.trials import run_trials
 
     hear = open_progress(place.as_json)
     say_if_it_compiles(hear)
     baseline = None
     with explained_interrupts(lambda: _kept(folder, "trials.jsonl")), place.workers(hear.say) as cluster:
-        seeing = batches.run_trials(course, seeds, place.jobs, folder, say=hear.say, cluster=cluster)
+        seeing = run_trials(course, seeds, place.jobs, folder, say=hear.say, cluster=cluster)
         if blind:
             hear.say("now the same seeds without a map")
-            baseline = batches.run_trials(course, seeds, place.jobs, folder, blind=True, say=hear.say, cluster=cluster)
-    text = batches.to_json(seeing, baseline)
-    say(text.rstrip("\n") if place.as_json else batches.words(seeing, baseline))
+            baseline = run_trials(course, seeds, place.jobs, folder, blind=True, say=hear.say, cluster=cluster)
+    text = to_json(seeing, baseline)
+    say(text.rstrip("\n") if place.as_json else words(seeing, baseline))
     whole_files.write_text(folder / "trials.json", text, durable=True)
     if not place.as_json:
         say(f"written to {folder}: trials.json, trials.jsonl")

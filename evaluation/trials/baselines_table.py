@@ -6,8 +6,8 @@ from sextant.evaluation.provenance import Made
 from sextant.evaluation.trials import results_store, table_text
 from sextant.evaluation.trials.campaign_table import course_in_words, of_runs, outcome
 from sextant.evaluation.trials.results_store import Run
+from sextant.evaluation.trials.summary import Trials
 from sextant.evaluation.trials.table_text import Table
-from sextant.evaluation.trials.trials import Trials
 
 OURS, BLIND = "Sextant", "without its map"
 

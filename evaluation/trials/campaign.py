@@ -7,7 +7,8 @@ from pathlib import Path
 from sextant.evaluation.report import Report
 from sextant.evaluation.trials.campaign_table import Campaign, Entry, write
 from sextant.evaluation.trials.cluster import Cluster
-from sextant.evaluation.trials.trials import Batch, Runner, Trials, run_batches, to_json
+from sextant.evaluation.trials.summary import Trials, to_json
+from sextant.evaluation.trials.trials import Batch, Runner, run_batches
 from sextant.shared.files import whole_files
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.loading import load_scenario

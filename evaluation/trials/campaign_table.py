@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from sextant.evaluation.provenance import Made
-from sextant.evaluation.trials import results_store, table_text
-from sextant.evaluation.trials import trials as batches
+from sextant.evaluation.trials import results_store, summary, table_text
 from sextant.evaluation.trials.results_store import Run
 from sextant.evaluation.trials.statistics import Rate, wilson
+from sextant.evaluation.trials.summary import Passages, Trials, in_words
 from sextant.evaluation.trials.table_text import Table
-from sextant.evaluation.trials.trials import Passages, Trials, in_words
 from sextant.shared.files import whole_files
 from sextant.shared.scenario.scale import unscaled_name
 
@@ -158,7 +157,7 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     Blind runs without sighted ones form their own entry.
     """
     found, older = results_store.newest(runs)
-    summaries = [batches.summarise(batch) for batch in found]
+    summaries = [summary.summarise(batch) for batch in found]
     places = {name: place for place, name in enumerate(_NAMED)}
     pairs: dict[tuple[int, str, float, str, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
@@ -203,7 +202,7 @@ def markdown(campaign: Campaign, table: str = "walks") -> str:
 def to_json(campaign: Campaign) -> str:
     """Format a campaign as JSON: trials per terrain, and what was left out."""
     terrains: dict[str, Any] = {
-        _name(campaign, entry.seeing): json.loads(batches.to_json(entry.seeing, entry.blind)) for entry in campaign.entries
+        _name(campaign, entry.seeing): json.loads(summary.to_json(entry.seeing, entry.blind)) for entry in campaign.entries
     }
     return json.dumps({"terrains": terrains, "left_out": campaign.left_out}, indent=1, ensure_ascii=False) + "\n"
 

@@ -18,7 +18,8 @@ from sextant.evaluation import report as reports
 from sextant.evaluation.robot_check.ground_limits import find_ground_limits
 from sextant.evaluation.trials.cluster import Cluster
 from sextant.evaluation.trials.logistic_fit import LogisticFit, fit_success
-from sextant.evaluation.trials.trials import Batch, Runner, Trials, run_batches
+from sextant.evaluation.trials.summary import Trials
+from sextant.evaluation.trials.trials import Batch, Runner, run_batches
 from sextant.shared.files import whole_files
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.scenario.family import NamedFamily, check_values

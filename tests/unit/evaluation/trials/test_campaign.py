@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sextant.evaluation.report import HeightError, Report, Slip, Spread, Torque, as_table
-from sextant.evaluation.trials import campaign, campaign_table, environment, results_store, trials
+from sextant.evaluation.trials import campaign, campaign_table, environment, results_store, summary, trials
 from sextant.shared.scenario.loading import load_scenario
 
 
@@ -70,7 +70,7 @@ def test_rows_of_different_rules_are_labelled_and_not_pooled(tmp_path):
         runs = [_report(load_scenario("flat"), seed) for seed in seeds]
         params = f"foothold {rule}, planner.costmap.max_step_m=0.05" if rule else ""
         batch = [results_store.Run.of(as_table(one), "f", "c", "2026-01-01T00:00:00+00:00", params=params) for one in runs]
-        entries.append(campaign_table.Entry(trials.summarise(batch)))
+        entries.append(campaign_table.Entry(summary.summarise(batch)))
     found = campaign_table.Campaign(tuple(entries), ())
     table = campaign_table.content(found, seeds=True)
     assert [row[0] for row in table.rows] == [

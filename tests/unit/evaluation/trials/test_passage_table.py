@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sextant.evaluation.report import ARRIVED, FootholdEdge, Passage, Report, Section, as_table
-from sextant.evaluation.trials import campaign_table, passage_table, results_store, trials
+from sextant.evaluation.trials import campaign_table, passage_table, results_store, summary
 from sextant.evaluation.trials.passage_table import THESIS
 from sextant.evaluation.trials.results_store import Run
 from sextant.shared.scenario.loading import load_scenario
@@ -75,14 +75,14 @@ def test_thesis_values_cover_three_sections_trials_and_scenarios():
 
 def test_passage_summary_of_batch():
     runs = [run("passage1", seed, feet_off=int(seed == 3)) for seed in range(10)]
-    found = trials.summarise(runs).passages
+    found = summary.summarise(runs).passages
     assert (found.feet_off, found.pillar_touchdowns) == (1, 300)
     assert (found.foothold_edge_m.median, found.foothold_edge_m.worst) == pytest.approx((0.0445, 0.040))
-    assert found.stops == trials.Figure(3.0, 3.0)
+    assert found.stops == summary.Figure(3.0, 3.0)
     assert (found.planning_p50_ms, found.planning_p99_ms) == pytest.approx((6.0, 7.0))
     assert found.expansions_per_s == pytest.approx(102 / 6e-3)
     assert (found.passable, found.impassable, found.entered_in_vain, found.undecided) == (0, 0, 0, 0)
-    assert "feet off a pillar 1, touchdowns on pillars 300" in trials.words(trials.summarise(runs))
+    assert "feet off a pillar 1, touchdowns on pillars 300" in summary.words(summary.summarise(runs))
 
 
 def test_summary_counts_crossed_and_wrongly_entered_gaps():
@@ -93,16 +93,16 @@ def test_summary_counts_crossed_and_wrongly_entered_gaps():
         run("pillar_field", 3, passable=None),
         run("pillar_field", 4, passable=True, success=False),
     ]
-    found = trials.summarise(runs).passages
+    found = summary.summarise(runs).passages
     assert (found.passable, found.crossed, found.impassable, found.entered_in_vain, found.undecided) == (2, 1, 2, 1, 1)
-    assert "passable 2, of which crossed 1; impassable 2, of which entered 1; undecided 1" in trials.words(
-        trials.summarise(runs)
+    assert "passable 2, of which crossed 1; impassable 2, of which entered 1; undecided 1" in summary.words(
+        summary.summarise(runs)
     )
 
 
 def test_walk_without_pillars_has_no_passage_figures():
     plain = run("flat", 0, sections=0, pillar_touchdowns=0, foothold_edge_m=FootholdEdge())
-    found = trials.summarise([plain])
+    found = summary.summarise([plain])
     assert found.passages is None
     row = cells(campaign_table.markdown(campaign_table.of_runs([plain]), "passages"))[2]
     assert row[3:] == ["-"] * 9

@@ -10,7 +10,7 @@ import pytest
 from sextant.evaluation import report as reports
 from sextant.evaluation.provenance import Made
 from sextant.evaluation.report import CourseMap, HeightError, PoseError, Report, Spread, Warned
-from sextant.evaluation.trials import campaign_table, environment, trials
+from sextant.evaluation.trials import campaign_table, environment, summary, trials
 from sextant.evaluation.trials.results_store import Run
 from sextant.shared.files.config import ConfigError
 from sextant.shared.scenario.scenario import Goal, Scenario
@@ -80,17 +80,17 @@ def test_batch_summary(tmp_path):
     assert result.failed_seeds == (1, 3, 5, 6, 7, 9)
     assert result.failures == {"fell # m along": 5, "servo shut down: left rear femur": 1}
     assert result.mean_speed_mps == pytest.approx(0.1 + 0.001 * (0 + 2 + 4 + 8) / 4)
-    assert result.block_touchdowns == trials.Figure(16.5, 12.0)
-    assert result.missteps == trials.Figure(0.5, 1.0)
+    assert result.block_touchdowns == summary.Figure(16.5, 12.0)
+    assert result.missteps == summary.Figure(0.5, 1.0)
     assert (result.all_missteps, result.all_steps) == (5, 400)
-    assert "missteps 5 in 400 steps" in trials.words(result)
-    assert "pillar" not in trials.words(result)
-    assert result.height_rms_m == trials.Figure(0.01, 0.01)
-    assert result.stability_margin_m == trials.Figure(0.046, 0.01)
-    assert result.tilt_p95_deg == trials.Figure(4.5, 9.0)
+    assert "missteps 5 in 400 steps" in summary.words(result)
+    assert "pillar" not in summary.words(result)
+    assert result.height_rms_m == summary.Figure(0.01, 0.01)
+    assert result.stability_margin_m == summary.Figure(0.046, 0.01)
+    assert result.tilt_p95_deg == summary.Figure(4.5, 9.0)
     assert (result.height_error_m.median, result.height_error_m.worst) == pytest.approx((0.0045, 0.009))
     assert (result.final_pose_error.median, result.final_pose_error.worst) == pytest.approx((0.02 / 2.5,) * 2)
-    assert "touchdowns on blocks 16 (12)" in trials.words(result)
+    assert "touchdowns on blocks 16 (12)" in summary.words(result)
     assert said[0] == "made up: 10 walks, 1 at a time; a line follows for each walk that ends"
     assert len(said) == 11
     assert all(" took 0 s, some 0 s to go" in line for line in said[1:-1])
@@ -108,7 +108,7 @@ def test_warnings_count_once_a_walk_with_any_numbers(tmp_path):
     result = trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=run)
     assert result.with_warnings == 2
     assert list(result.warnings.items()) == [("the camera looks # deg lower", 2), ("slipping", 1)]
-    assert "2 x warning: the camera looks # deg lower" in trials.words(result)
+    assert "2 x warning: the camera looks # deg lower" in summary.words(result)
     table = table_of([result], "warnings")
     assert "| 2 of 3 | the camera looks # deg lower (2) |" in table
     assert "Warnings in 2 of 3 walks" in table
@@ -117,7 +117,7 @@ def test_warnings_count_once_a_walk_with_any_numbers(tmp_path):
 
 def test_warnings_of_older_lines_are_unknown(tmp_path):
     runs = [replace(Run.read({"report": reports.as_table(_report(SCENARIO, seed))}), warnings=None) for seed in (0, 2)]
-    result = trials.summarise([runs[0], replace(runs[1], warnings=())])
+    result = summary.summarise([runs[0], replace(runs[1], warnings=())])
     assert result.with_warnings is None
     assert "| - | - |" in table_of([result], "warnings")
 
@@ -182,13 +182,13 @@ def test_blind_baseline_is_separate_and_compared(tmp_path):
     blind = trials.run_trials(SCENARIO, range(0, 80, 2), 1, tmp_path, blind=True, run=Runner())
     assert blind.blind
     assert not seeing.blind
-    compared = trials.compare(seeing, blind)
+    compared = summary.compare(seeing, blind)
     assert compared.difference == pytest.approx(39 / 40 - 8 / 40)
     assert compared.disjoint
-    table = json.loads(trials.to_json(seeing, blind))
+    table = json.loads(summary.to_json(seeing, blind))
     assert table["baseline"]["success"]["successes"] == 8
     assert table["compared"]["disjoint"] is True
-    text = trials.words(seeing, blind)
+    text = summary.words(seeing, blind)
     assert "made up: 39 of 40" in text
     assert "made up, blind: 8 of 40" in text
     assert "disjoint" in text
@@ -196,7 +196,7 @@ def test_blind_baseline_is_separate_and_compared(tmp_path):
 
 def test_json_of_batch_without_success_has_no_nan(tmp_path):
     result = trials.run_trials(SCENARIO, [1], 1, tmp_path, run=Runner())
-    table = json.loads(trials.to_json(result), parse_constant=lambda name: pytest.fail(name))
+    table = json.loads(summary.to_json(result), parse_constant=lambda name: pytest.fail(name))
     assert table["mean_speed_mps"] is None
     assert table["final_pose_error"] == {"median": None, "worst": None}
     assert table["failed_seeds"] == [1]
@@ -218,8 +218,8 @@ def test_batch_reports_commits_and_dates(tmp_path, monkeypatch):
         monkeypatch.setattr(trials.provenance, "now", lambda time=time: time)
         result = trials.run_trials(SCENARIO, range(seeds), 1, tmp_path, run=Runner())
     assert result.made == Made(("abc1234", "def5678+"), "2024-05-01T10:00:00+00:00", "2024-05-03T09:00:00+00:00")
-    assert "made at commit abc1234, def5678+ on 2024-05-01 to 2024-05-03" in trials.words(result)
-    assert json.loads(trials.to_json(result))["made"]["commits"] == ["abc1234", "def5678+"]
+    assert "made at commit abc1234, def5678+ on 2024-05-01 to 2024-05-03" in summary.words(result)
+    assert json.loads(summary.to_json(result))["made"]["commits"] == ["abc1234", "def5678+"]
 
 
 def test_each_stored_line_holds_complete_report(tmp_path):
