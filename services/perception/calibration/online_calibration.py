@@ -36,15 +36,16 @@ class _Name:
     per_unit: float  # of the text, in units of the error
     unit: str
     digits: int
+    stretches: int  # in a row that must show the error; a slip of feet in one stretch looks like some of the errors
 
 
 _NAMES = (
-    _Name("leans", ("farther right", "farther left"), _NAMED_DEG, 1.0, " deg", 1),
-    _Name("looks", ("lower", "higher"), _NAMED_DEG, 1.0, " deg", 1),
-    _Name("looks", ("farther left", "farther right"), _NAMED_DEG, 1.0, " deg", 1),
-    _Name("sits", ("higher", "lower"), _NAMED_M, 1e3, " mm", 0),
-    _Name("measures depths", ("shorter", "longer"), _NAMED_SCALE, 1e2, "%", 1),
-    _Name("stamps images", ("later", "earlier"), _NAMED_S, 1e3, " ms", 0),
+    _Name("leans", ("farther right", "farther left"), _NAMED_DEG, 1.0, " deg", 1, 1),
+    _Name("looks", ("lower", "higher"), _NAMED_DEG, 1.0, " deg", 1, 3),
+    _Name("looks", ("farther left", "farther right"), _NAMED_DEG, 1.0, " deg", 1, 3),
+    _Name("sits", ("higher", "lower"), _NAMED_M, 1e3, " mm", 0, 1),
+    _Name("measures depths", ("shorter", "longer"), _NAMED_SCALE, 1e2, "%", 1, 3),
+    _Name("stamps images", ("later", "earlier"), _NAMED_S, 1e3, " ms", 0, 3),
 )
 
 
@@ -69,6 +70,7 @@ class OnlineCalibration:
         self._leg_heights: Array = np.full(6, np.nan)
         self.values, self.covariance = self._motion.values, self._motion.covariance
         self.finding, self._has_news = "", False
+        self._shown = [0] * len(_NAMES)  # stretches in a row that have shown each error
         self._corrects = corrects
         self._last: tuple[int, Motion] | None = None  # stamp [ns] and motion of the last registered frame
         self._odometry_restarts = 0
@@ -112,7 +114,7 @@ class OnlineCalibration:
         if not self._motion.add(frame, self.corrected, self._delay.value):
             return
         self.values, self.covariance = self._motion.with_leg_heights(self._leg_heights, self._feet, self.corrected)
-        self.finding, self._has_news = self._describe(), True
+        self.finding, self._has_news = self._name_errors(), True
         if self._corrects:
             self._follow(T_body)
 
@@ -162,14 +164,16 @@ class OnlineCalibration:
         """Return estimate (6,) and standard deviations (6,) as in `CameraErrors`."""
         return np.append(self.values[_TOLD], -self._delay.value), np.append(self.sigma[_TOLD], self._delay.sigma)
 
-    def _describe(self) -> str:
+    def _name_errors(self) -> str:
+        """Return the errors that enough stretches have shown, as a sentence; empty if there are none."""
         values, sigmas = self._told()
         values[ROTATION], sigmas[ROTATION] = np.degrees(values[ROTATION]), np.degrees(sigmas[ROTATION])
         sigmas[:2] = np.hypot(sigmas[:2], _LEGS_DEG)
         found = []
-        for name, value, sigma in zip(_NAMES, values.tolist(), sigmas.tolist(), strict=True):
+        for at, (name, value, sigma) in enumerate(zip(_NAMES, values.tolist(), sigmas.tolist(), strict=True)):
             size = abs(value)
-            if size > max(name.least, _NAMED * sigma):
+            self._shown[at] = self._shown[at] + 1 if size > max(name.least, _NAMED * sigma) else 0
+            if self._shown[at] >= name.stretches:
                 low, best, high = (f"{name.per_unit * of:.{name.digits}f}" for of in (size - 2 * sigma, size, size + 2 * sigma))
                 found.append(f"{name.verb} {best}{name.unit} ({low} to {high}) {name.words[value > 0.0]}")
         if not found:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sextant.services.perception.calibration.motion_calibration import HEIGHT
+from sextant.services.perception.calibration.motion_calibration import HEIGHT, SCALE
 from sextant.services.perception.calibration.online_calibration import OnlineCalibration
 from sextant.services.perception.registration.error_twist import apply_twist, covariance_at
 from sextant.services.perception.registration.motion_prior import Motion
@@ -23,7 +23,7 @@ class Walk:
 
     def __init__(self, rotation: tuple[float, float, float], corrects: bool = True, scale: float = 0.0) -> None:
         self.calibration = OnlineCalibration(PROFILE, corrects)
-        self._error, self._scale = np.array(rotation), scale
+        self._error, self.scale = np.array(rotation), scale
         self.T = np.eye(4)
         self._frame = 0
         self.trace: list[Array] = []  # (10,) corrected errors after each frame
@@ -34,7 +34,7 @@ class Walk:
             self._frame += 1
             correction = self.calibration.correction
             remaining = self._error - [*correction.tilt, 0.0]
-            shown = exp_so3(remaining) @ step * (1.0 + self._scale)
+            shown = exp_so3(remaining) @ step * (1.0 + self.scale)
             prior = self.T @ transform(np.eye(3), step)
             twist = np.concatenate([self.T[:3, :3] @ (shown - step), np.zeros(3)])
             self.T = apply_twist(prior, twist)
@@ -96,6 +96,18 @@ def test_exact_camera_is_neither_corrected_nor_named() -> None:
     walk.run(300)
     assert not walk.calibration.corrected.any()
     assert walk.calibration.finding == ""
+
+
+@pytest.mark.parametrize("scale", [0.09, -0.09])
+def test_error_that_only_one_stretch_shows_is_not_named(scale: float) -> None:
+    walk = Walk((0.0, 0.0, 0.0), scale=scale)
+    walk.run(12)
+    calibration = walk.calibration
+    assert abs(calibration.values[SCALE]) > 2.0 * calibration.sigma[SCALE], "it would be named if one stretch were enough"
+    walk.scale = 0.0
+    for _ in range(50):
+        assert calibration.finding == ""
+        walk.run(1)
 
 
 def test_correction_is_bounded() -> None:
