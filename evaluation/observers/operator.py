@@ -28,7 +28,9 @@ from sextant.shared.wire.messages import (
     VelocityCommand,
 )
 
-_OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body passes the line too
+# How far beyond the goal line the operator leads the robot by the estimate, so that the true body passes the line too: [m], and
+# [1] of the way, by which depths of a camera that is not calibrated may be too long.
+_OVERSHOOT, _OVERSHOOT_SHARE = 0.03, 0.03
 _BY_TOUCH = 0.15  # [m] further overshoot for a robot that walks blind by odometry
 _LATERAL_GAIN = 2.0  # [rad/m] course toward the line per metre of lateral offset
 _MAX_COURSE = radians(25.0)  # [rad] off the line's direction
@@ -76,7 +78,7 @@ class Operator:
         self.reason = ""  # why it is finished, as text
         self.progress = "waiting for the actuator"
         self._line = scenario.goal.distance
-        self._goal = self._line + _OVERSHOOT
+        self._goal = self._line + _OVERSHOOT + _OVERSHOOT_SHARE * self._line
         end = (self._goal + _TOLERANCE, 0.0)
         self._route = np.array([*scenario.goal.waypoints, end]) if scenario.goal.route else None
         self._gap_crossing: GapCrossingMode = "always" if scenario.goal.passage else "if needed"

@@ -160,7 +160,7 @@ def test_operator_walks_robot_to_goal_and_stops():
     robot = Robot().run()
     assert robot.operator.finished
     assert "at the goal" in robot.operator.reason
-    assert 1.53 <= robot.T[0, 3] < 1.56
+    assert 1.5 * 1.03 <= robot.T[0, 3] < 1.61, "the body passes the line even if the estimated way is 3 % too long"
     assert not np.any(robot.velocities[-1].velocity)
     assert robot.mode is Mode.HOLD
     robot.beat()  # the operator keeps sending the command to rest
@@ -283,7 +283,7 @@ def test_operator_publishes_route_goal_without_velocities():
     robot = Robot(scenario=route).run(400)
     assert not robot.velocities
     goal = robot.goals[-1]
-    np.testing.assert_allclose(goal.waypoints, [[0.5, 0.2], [1.56, 0.0]])
+    np.testing.assert_allclose(goal.waypoints, [[0.5, 0.2], [1.605, 0.0]])
     assert (goal.speed, goal.body_height, goal.lift) == (route.walk.speed, route.walk.body_height, route.walk.lift)
     assert np.diff([goal.stamp_ns for goal in robot.goals]).max() <= topics.GOAL.fresh_for_ns / 3
     assert not robot.operator.finished
