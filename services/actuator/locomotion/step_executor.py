@@ -20,6 +20,7 @@ from sextant.services.actuator.config import Settings
 from sextant.services.actuator.estimation.touchdown_detector import FootContact
 from sextant.services.actuator.locomotion.body_trajectory import LEVEL, BodyTrajectory
 from sextant.services.actuator.locomotion.foot_press import FootPress
+from sextant.services.actuator.locomotion.foot_relief import FootRelief
 from sextant.services.actuator.locomotion.ground_contacts import Finding, GroundContacts
 from sextant.services.actuator.locomotion.ground_search import SEARCH_DEPTH_M, GroundSearch
 from sextant.services.actuator.locomotion.held_feet import HeldFeet
@@ -83,6 +84,7 @@ class StepExecutor:
         self._contacts = GroundContacts(self._feet, self._feet[:, 2] if ground is None else ground)
         self._held = HeldFeet()
         self._press = FootPress()
+        self._relief = FootRelief()
         self._share = np.ones(6)  # share of its load that each leg may carry
         self._running: RunningStep | None = None
         self._next: StepPlan | None = None
@@ -349,7 +351,9 @@ class StepExecutor:
         body.follow(dt, T_odom_body)
         self._posture.update(dt, body.level_error(T_odom_body), body.to_body(self._feet), self._share)
         if felt is not None:
-            self._contacts.prove(felt, ~self.flying & ~self.searching & ~self.pressing)
+            standing = ~self.flying & ~self.searching & ~self.pressing
+            self._contacts.prove(felt, standing)
+            self._relieve(dt, standing, felt)
         if self._running is None:
             self._press.stop()
             self._rest(dt, felt)
@@ -361,6 +365,14 @@ class StepExecutor:
         level = rotation_from_rpy(body.xyz_rpy[3:] * LEVEL)
         feet = self._press.lowered(self._posture.lowered(self._feet), dt)
         return Targets(body.to_body(feet), self._share.copy(), level)
+
+    def _relieve(self, dt: float, standing: NDArray[np.bool_], felt: FootContact) -> None:
+        """Move the commands of standing feet (6,) that something holds to where the feet are."""
+        moved = self._relief.update(standing, self.feet_odom if felt.goals is None else felt.goals, felt, dt)
+        if moved is not None:
+            moved = self._body.to_cmd(self.feet_odom + moved) - self._feet
+            self._feet += moved
+            self._contacts.met += moved
 
     def _begin(self, plan: StepPlan) -> RunningStep:
         self._running, self._next = RunningStep(plan, self._settings.unload_s, self._settings.load_s), None
