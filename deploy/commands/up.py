@@ -318,7 +318,7 @@ def _has_imu(robot: str) -> bool:
     """Return whether the robot has an IMU that is not part of its camera."""
     from sextant.shared.robot.profiles import load_profile
 
-    return load_profile(robot).imu.device not in ("camera", "none")
+    return load_profile(robot).imu.is_separate
 
 
 def _usual_port(robot: str, settings: Sequence[str]) -> tuple[str, ...]:

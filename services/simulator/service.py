@@ -95,7 +95,8 @@ class Simulator:
             foot_friction=deviation.foot_friction,
             link_lengths=deviation.link_lengths,
         )
-        self.world = World(real, terrain, factors, imu=scenario.variation.imu, patches=deviation.patches)
+        self._has_imu = scenario.variation.imu or profile.imu.is_separate
+        self.world = World(real, terrain, factors, imu=self._has_imu, patches=deviation.patches)
         self._camera = RobotCamera(
             real,
             scenario,
@@ -321,7 +322,7 @@ class Simulator:
         if self._due(topics.CAMERA_STATE, now_ns):
             absent = "unplugged by the scenario" if camera.fault == "absent" else ""
             yield CameraState(now_ns, device="simulated depth camera", ok=not absent, reason=absent)
-        if self._scenario.variation.imu and self._due(topics.IMU, now_ns):
+        if self._has_imu and self._due(topics.IMU, now_ns):
             yield self._feel(now_ns)
         if self._due(topics.TRUTH, now_ns):
             yield self._truth(now_ns)

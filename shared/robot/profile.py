@@ -211,6 +211,11 @@ class Imu:
     def __post_init__(self) -> None:
         config.verify(self)
 
+    @property
+    def is_separate(self) -> bool:
+        """Whether it is a sensor of its own, and not one of the camera."""
+        return self.device not in ("camera", "none")
+
 
 _T_MOUNT_CAMERA = transform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
 

@@ -109,8 +109,13 @@ def test_real_robot_of_another_name_is_simulated_under_the_name_that_the_service
     assert sim._profile.name == "another"
 
 
-def test_imu_is_published_only_if_scenario_has_one() -> None:
-    assert not [m for m in run(simulator(), 100 * MS) if isinstance(m, Imu)]
+@pytest.mark.parametrize(
+    ("robot", "published"), [("phantomx_mk2", False), ("phantomx_mk2_d435", False), ("phantomx_mk2_imu", True)]
+)
+def test_imu_is_published_only_if_scenario_or_profile_has_one(robot: str, published: bool) -> None:
+    """Check that the IMU of a camera, which only its driver finds out about, is not assumed."""
+    made = run(Simulator(load_profile(robot), Settings(), FLAT), 100 * MS)
+    assert any(isinstance(m, Imu) for m in made) == published
 
 
 def test_robot_starts_standing_with_torque_on() -> None:
