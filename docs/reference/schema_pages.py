@@ -62,7 +62,8 @@ A profile is a TOML file that describes a robot. [your_robot.md](your_robot.md) 
 or a name: `phantomx_mk2`, `lotriet_rx64`, `printed_sts3215`, the smaller `small_sts3215` and `jethexa_hx35h`
 ([servos.md](servos.md)), `printed_ds3218` ([hobby_servos.md](hobby_servos.md)), `phantomx_mk2` with other servos,
 `phantomx_mk2_ax18`, with an inertial sensor, `phantomx_mk2_imu`, and with other cameras: `phantomx_mk2_rgbd`,
-`phantomx_mk2_scanner`, `phantomx_mk2_d435`, `phantomx_mk2_d405`, `phantomx_mk2_oak`, `phantomx_mk2_gemini2` and `phantomx_mk2_gemini305`
+`phantomx_mk2_scanner`, `phantomx_mk2_d435`, `phantomx_mk2_d405`, `phantomx_mk2_oak`, `phantomx_mk2_gemini2` and
+`phantomx_mk2_gemini305`
 ([cameras.md](cameras.md#in-the-simulator)). A file with `extends = "phantomx_mk2"` contains only the differences; a list
 such as `[[legs]]` is replaced as a whole. The order of the legs is left front, right front, right middle, right rear,
 left rear, left middle.

@@ -143,7 +143,7 @@ class Actuator:
         self._level(dt, now_ns, inbox)
         # 3. Pass plans through the guard.
         for plan in inbox.drain(topics.STEP_PLAN):
-            if guard.accept_plan(plan, now_ns, self._walk(), self._stance):
+            if guard.accept_plan(plan, now_ns, self._walk(now_ns), self._stance):
                 motion.executor.accept(plan)
                 self._report.T_world_odom = plan.T_world_odom
         # 4. Move the legs.
@@ -214,7 +214,7 @@ class Actuator:
         """
         mode, gravity, walk = self._guard.mode, self._estimator.gravity, self._motion.executor
         for reading in inbox.drain(topics.IMU):
-            gravity.take(reading, now_ns, mode is Mode.HOLD and walk.resting)
+            gravity.take(reading, now_ns, mode is Mode.READY or (mode is Mode.HOLD and walk.resting))
         if mode in _BALANCED and not self._guard.tipped:
             leans = gravity.tipped(walk.body_ref, now_ns)
             if leans:
@@ -338,15 +338,15 @@ class Actuator:
         if not self._off.holds and self._clock.is_current:
             self._joints.write(goals)
 
-    def _walk(self) -> Walk:
+    def _walk(self, now_ns: int) -> Walk:
         """Return the state of the walk."""
-        walk = self._motion.executor
+        walk, begins = self._motion.executor, self._guard.mode is Mode.HOLD
         return Walk(
             step=walk.step,
             resting=walk.resting,
             planned=walk.planned,
             trouble=walk.trouble,
-            waiting_reason=self._motion.waiting_reason,
+            waiting_reason=self._motion.waiting_reason or (self._estimator.gravity.waiting_reason(now_ns) if begins else ""),
             swing=walk.swing,
             clearance=walk.clearance,
         )
@@ -384,7 +384,7 @@ class Actuator:
             pace, warnings = min(verdict.pace, legs.pace), (*verdict.warnings, legs.warning)
             verdict = replace(verdict, broken=verdict.broken or legs.stop, pace=pace, warnings=warnings)
         self._verdict = verdict
-        self._perform(self._guard.watch(now_ns, self._walk(), self._verdict))
+        self._perform(self._guard.watch(now_ns, self._walk(now_ns), self._verdict))
         for index in self._verdict.restore_torque:
             if self._off.holds:  # torque off has not been executed yet
                 break

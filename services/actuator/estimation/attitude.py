@@ -17,7 +17,8 @@ _BIAS_GAIN = 0.05  # [1/s^2] gain of the gyro bias, its k_I
 _MAX_BIAS_ERROR_RAD = np.radians(5.0)  # [rad] errors beyond this come from the start or a push, not from the bias
 _MAX_BIAS_RAD_S = 0.05  # [rad/s] maximum bias of a calibrated gyro
 _PUSH_M_S2 = 0.5  # [m/s^2] deviation of the specific force from g that halves its weight
-_STILL_S, _STILL = 1.0, 0.02  # [s] time constant of the bias estimate at rest, and [rad/s] up to which the gyro may be at rest
+_STILL = 0.02  # [rad/s] difference from the bias up to which the gyro may be at rest
+_KNOWN_S, _STILL_S = 1.0, 10.0  # [s] at rest from which the bias is known, and over which it is averaged
 _APART_S = 2.0  # [s] over which force and gyro are compared for consistency
 _INCONSISTENT_RAD = 0.1  # [rad] mean difference from which force and gyro are inconsistent
 _START_SIGMA_RAD = 0.2  # [rad] sigma of the first reading, taken while the robot may be moving
@@ -43,13 +44,19 @@ class Attitude:
 class AttitudeEstimator:
     """Estimate roll and pitch from gyro (short term) and accelerometer (long term)."""
 
-    def __init__(self, bias: Array | None = None):
-        """Begin without a reading; the bias (3,) [rad/s] of the gyro may be known."""
-        self.bias = np.zeros(3) if bias is None else bias.copy()
+    def __init__(self, before: "AttitudeEstimator | None" = None):
+        """Begin without a reading, with the gyro bias that an earlier estimator has found."""
+        self.bias: Array = np.zeros(3) if before is None else before.bias.copy()  # (3,) [rad/s]
+        self._still_s = 0.0 if before is None else before._still_s  # [s] at rest, at most `_STILL_S`
         self._up: Array | None = None  # (3,) {body}
         self._find_implausibility = _START_SIGMA_RAD
         self._turned = 0.0
         self._apart = 0.0  # [rad] mean angle between measured gravity and that predicted by the gyro
+
+    @property
+    def knows_bias(self) -> bool:
+        """Whether the gyro was at rest for long enough to know its bias about up."""
+        return self._still_s > _KNOWN_S - 1e-9
 
     def update(self, gyro: Array, specific_force: Array, dt: float, still: bool = False) -> Attitude:
         """Update the estimate with a reading.
@@ -58,7 +65,8 @@ class AttitudeEstimator:
             gyro: (3,) [rad/s] {body}
             specific_force: (3,) [m/s^2] {body}, +g up at rest.
             dt: [s] since the previous reading; not used for the first one.
-            still: Whether the body is known to stand still. Only then is a bias about up observable.
+            still: Whether the body is known to stand still. Only then is a bias about up observable. Gravity shows the bias
+                about the other axes, and a body that has just stood up still levels itself.
 
         Raises:
             ValueError: dt is not positive.
@@ -71,7 +79,8 @@ class AttitudeEstimator:
             self._up = specific_force / length if abs(length - GRAVITY) < 4 * _PUSH_M_S2 else np.array([0.0, 0.0, 1.0])
             return self._attitude(self._up)
         if still and np.abs(gyro - self.bias).max() < _STILL:
-            self.bias = self.bias + min(dt / _STILL_S, 1.0) * (gyro - self.bias)
+            self._still_s = min(self._still_s + dt, _STILL_S)
+            self.bias = self.bias + dt / self._still_s * float((gyro - self.bias) @ self._up) * self._up
         rate = gyro - self.bias
         belief = math.exp(-math.log(2.0) * ((length - GRAVITY) / _PUSH_M_S2) ** 2)
         turned = exp_so3(-dt * rate) @ self._up  # predicted at the end of dt

@@ -25,6 +25,7 @@ _ODD_NS = 1_000_000_000  # [ns] for which an out-of-range reading is reported
 _GAP_NS = 100_000_000  # [ns] without a reading after which the rotation meanwhile is unknown
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; an older one is from another clock
 _CALM_NS = 1_000_000_000  # [ns] of standing after which the body no longer moves
+_PATIENCE_S = 5.0  # [s] of standing for which a walk waits for the gyro's bias
 _MAX_UNCERTAINTY_RAD = np.radians(3.0)  # [rad] standard deviation up to which the sensor is used
 _TURN_GAIN = 0.5  # [1/s] gain with which {odom} turns, in lean and in heading
 _MAX_TURN_RAD_S = np.radians(3.0)  # [rad/s] maximum rate of that turn
@@ -43,6 +44,7 @@ class GravityAlignment:
         self._heard_ns = -1  # when it arrived
         self._odd_ns = -_ODD_NS - 1  # when the last out-of-range reading arrived
         self._moved_ns = -1  # stamp of the last reading of a robot that did not stand
+        self._stood_s = 0.0  # [s] for which the robot has stood with a sensor, in all
         self.restart()
 
     def restart(self) -> None:
@@ -71,9 +73,10 @@ class GravityAlignment:
             return
         gap = not 0 < since_ns <= _GAP_NS
         if gap:
-            self._estimator, self._heading = AttitudeEstimator(self._estimator.bias), None
+            self._estimator, self._heading = AttitudeEstimator(self._estimator), None
         if gap or not still or self._attitude is None:
             self._moved_ns = reading.stamp_ns
+        self._stood_s += min(max(since_ns, 0), _GAP_NS) * 1e-9 * still
         still = reading.stamp_ns - self._moved_ns > _CALM_NS
         self._stamp_ns, self._heard_ns = reading.stamp_ns, now_ns
         self._attitude = self._estimator.update(reading.gyro, reading.specific_force, max(since_ns, 1) * 1e-9, still)
@@ -82,6 +85,12 @@ class GravityAlignment:
         """Return the attitude of the body; None without recent or reliable readings."""
         found = self._attitude
         return None if found is None or found.doubt > _MAX_UNCERTAINTY_RAD or now_ns - self._heard_ns > _GAP_NS else found
+
+    def waiting_reason(self, now_ns: int) -> str:
+        """Return why a standing robot should not walk yet, or an empty string."""
+        heard = self._attitude is not None and now_ns - self._heard_ns <= _GAP_NS
+        waits = heard and not self._estimator.knows_bias and self._stood_s < _PATIENCE_S
+        return "the gyroscope measures its bias: the robot must stand still for 2 s" if waits else ""
 
     def problem(self, now_ns: int) -> str:
         """Return why a sensor that sends readings is not used, or an empty string."""

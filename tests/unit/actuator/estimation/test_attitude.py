@@ -135,12 +135,29 @@ def test_vertical_gyro_bias_is_estimated_at_rest_and_removed_from_yaw(tilt: tupl
     R, filter_, wrong = rotation_from_rpy([*tilt, 0.0]), AttitudeEstimator(), np.array(bias)
     for _ in range(500):
         filter_.update(wrong, specific_force(R), DT, still=True)
-    np.testing.assert_allclose(filter_.bias, wrong, atol=1e-4)
+    assert (filter_.bias - wrong) @ R[2] == pytest.approx(0.0, abs=1e-4)
     before = filter_.update(wrong, specific_force(R), DT).turned
     for _ in range(200):
         R = rotation_z(0.004) @ R
         found = filter_.update(wrong + R.T @ [0.0, 0.0, 0.004 / DT], specific_force(R), DT)
     assert found.turned - before == pytest.approx(0.8, abs=2e-3)
+
+
+def test_bias_is_known_after_a_second_at_rest_and_then_averaged_over_ten() -> None:
+    rng, filter_, truth = np.random.default_rng(3), AttitudeEstimator(), np.array([0.004, -0.006, 0.006])
+    filter_.update(np.zeros(3), G, DT)
+    for _ in range(round(1.0 / DT)):
+        assert not filter_.knows_bias
+        filter_.update(truth + rng.normal(0.0, 1e-3, 3), G, DT, still=True)
+    assert filter_.knows_bias
+    assert filter_.bias[2] == pytest.approx(truth[2], abs=4e-4)
+    again = AttitudeEstimator(filter_)  # after a gap
+    assert again.knows_bias
+    again.update(np.zeros(3), G, DT)
+    before = again.bias[2]
+    again.update(np.array([0.0, 0.0, before + 0.01]), G, DT, still=True)
+    assert again.bias[2] - before < 0.01 * DT, "one reading hardly changes it"
+    assert not AttitudeEstimator().knows_bias
 
 
 def test_first_reading_gives_no_gyro_bias() -> None:

@@ -266,6 +266,28 @@ def test_vertical_gyro_bias_requires_sustained_standstill() -> None:
     assert plumb._estimator.bias[2] == pytest.approx(0.004, abs=1e-4)
 
 
+def test_walk_waits_for_the_bias_of_a_robot_that_stands() -> None:
+    plumb, bias = GravityAlignment(), np.array([0.0, 0.0, 0.004])
+    assert plumb.waiting_reason(0) == "", "a robot without a sensor does not wait"
+    waits = []
+    for i in range(150):
+        plumb.take(Imu(i * 20 * MS, bias, G), i * 20 * MS, still=True)
+        waits.append(plumb.waiting_reason(i * 20 * MS))
+    assert "must stand still for 2 s" in waits[98]
+    assert waits[102:] == [""] * 48
+    assert plumb._estimator.bias[2] == pytest.approx(0.004, abs=1e-9)
+
+
+def test_walk_does_not_wait_for_ever_on_ground_that_moves() -> None:
+    plumb = GravityAlignment()
+    waits = []
+    for i in range(300):
+        plumb.take(Imu(i * 20 * MS, np.array([0.0, 0.0, 0.1 * (-1) ** i]), G), i * 20 * MS, still=True)
+        waits.append(plumb.waiting_reason(i * 20 * MS) != "")
+    assert waits[100]
+    assert not any(waits[252:])
+
+
 @pytest.mark.parametrize("gap_ns", [150 * MS, 5_000 * MS, -5_000 * MS])
 def test_reading_after_a_gap_gives_no_gyro_bias(gap_ns: int) -> None:
     """Check that one reading after a gap gives no bias.
