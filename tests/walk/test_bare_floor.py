@@ -1,4 +1,4 @@
-"""Walks over a bare floor: texture fixes the heading, and a floor without texture of its own changes nothing."""
+"""Walks over a bare floor: texture or a gyroscope fixes the heading, and a floor without texture of its own changes nothing."""
 
 from dataclasses import replace
 
@@ -40,6 +40,13 @@ def test_texture_fixes_the_heading_of_a_robot_with_wrong_horns() -> None:
     assert all(pose.ok for pose in found)
     walking = found[len(found) // 2 : -len(found) // 5]  # at rest the legs are used
     assert sum(len(pose.degenerate) == 0 for pose in walking) > 0.8 * len(walking)
+
+
+def test_gyroscope_fixes_the_heading_of_a_robot_with_wrong_horns() -> None:
+    usual = replace(load_scenario("flat+usual"), goal=Goal(0.8, corridor=0.5))
+    legs_only, with_gyroscope = walked(usual), walked(usual, robot="phantomx_mk2_imu")
+    assert with_gyroscope.report.success, with_gyroscope.report.reason
+    assert heading_error(with_gyroscope) < 0.3 * heading_error(legs_only)
 
 
 def test_glossy_floor_changes_no_pose() -> None:
