@@ -47,7 +47,7 @@ class AttitudeEstimator:
     def __init__(self, before: "AttitudeEstimator | None" = None):
         """Begin without a reading, with the gyro bias that an earlier estimator has found."""
         self.bias: Array = np.zeros(3) if before is None else before.bias.copy()  # (3,) [rad/s]
-        self._still_s = 0.0 if before is None else before._still_s  # [s] at rest, at most `_STILL_S`
+        self._still_s: float = 0.0 if before is None else before._still_s  # [s] at rest, at most `_STILL_S`
         self._up: Array | None = None  # (3,) {body}
         self._find_implausibility = _START_SIGMA_RAD
         self._turned = 0.0
