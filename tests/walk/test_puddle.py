@@ -12,7 +12,7 @@ from sextant.shared.scenario.scenario import Goal
 from sextant.shared.scenario.terrain import Plane, Puddle
 from tests.support.walks import blocked, walk
 
-SHORT = replace(load_scenario("puddle"), goal=Goal(0.85))
+SHORT = replace(load_scenario("puddle"), goal=Goal(1.0))
 POOL = replace(SHORT, terrain=(Plane(), Puddle((1.1, 0.0), (0.6, 3.0))))
 
 
