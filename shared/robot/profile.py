@@ -213,7 +213,7 @@ class Imu:
 
     @property
     def is_separate(self) -> bool:
-        """Whether it is a sensor of its own, and not one of the camera."""
+        """Whether the robot has an inertial sensor apart from its camera."""
         return self.device not in ("camera", "none")
 
 

@@ -143,7 +143,7 @@ class Variation:
 
     armature: float = 1.5  # factor of the reflected inertia of the rotors
     friction: float = 1.15  # factor of the friction of joints and feet
-    imu: bool = False  # whether the robot has an IMU although its profile names none of its own
+    imu: bool = False  # whether the robot has an IMU even if its profile names none
     registration: Literal["projective", "kiss-icp"] = "projective"  # method that localizes the robot
 
     checks = (*bounded("armature friction", 100, "times"),)

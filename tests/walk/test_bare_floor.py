@@ -1,4 +1,4 @@
-"""Walks over a bare floor: texture or a gyroscope fixes the heading, and a floor without texture of its own changes nothing."""
+"""Walks over a bare floor: texture or a gyroscope fixes the heading. A floor that only mirrors the lamps changes nothing."""
 
 from dataclasses import replace
 

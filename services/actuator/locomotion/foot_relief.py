@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from sextant.services.actuator.estimation.touchdown_detector import FootContact
 from sextant.shared.geometry import Array
 
-# [m] [s] distance of a standing foot from its servo goals, and its duration, from which something holds the foot. A leg that
-# carries half of the robot is 20 mm off with the softest servos.
+# [m] [s] distance of a standing foot from its servo goals, and its duration, from which something holds the foot. Others
+# are off by 21 mm at most, on rubble with the softest servos.
 _HELD_M, _HELD_S = 0.03, 0.3
 _RELIEVED_M = 0.015  # [m] distance at which the relief ends
 _RATE_M_S = 0.1  # [m/s] by which the distance falls
