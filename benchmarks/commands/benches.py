@@ -170,19 +170,22 @@ def bench_cycle(scenario: str, seeds: range, cycles: int, out: str | None, as_js
 
 
 @benchmarks.command("calibration")
+@options.robot
 @option("--scenario", "ground and deviations of the robots", "NAME", default="flat+harsh")
 @option("--seeds", "seeds of the robots, B not included", "A:B", type=Parsed(options.seeds, "seeds"), default="1000:1010")
 @options.jobs
 @options.out
 @options.as_json
-def bench_calibration(scenario: str, seeds: range, jobs: int, out: str | None, as_json: bool) -> int:
+def bench_calibration(robot: str, scenario: str, seeds: range, jobs: int, out: str | None, as_json: bool) -> int:
     """Calibrate simulated robots that differ from their profile, and compare with the truth."""
     from benchmarks.robot import calibration
+    from sextant.shared.robot.profiles import load_profile
     from sextant.shared.scenario.loading import load_scenario
 
-    load_scenario(scenario)  # a wrong name is reported before anything starts
+    load_profile(robot)  # a wrong name is reported before anything starts
+    load_scenario(scenario)
     folder = out_folder(out, "bench-calibration")
-    found = calibration.measure(scenario, seeds, jobs, open_progress(as_json).say)
+    found = calibration.measure(robot, scenario, seeds, jobs, open_progress(as_json).say)
     return _tell_bench(calibration.in_words(found), calibration.to_json(found), folder / "calibration.json", as_json)
 
 

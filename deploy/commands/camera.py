@@ -1,4 +1,4 @@
-"""`sextant camera`: calibrate the camera and the legs of a robot."""
+"""`sextant camera`: calibrate the camera, the legs and the IMU of a robot."""
 
 import shlex
 from datetime import date
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sextant.services.perception.calibration.calibrated_robot import CalibratedRobot
     from sextant.shared.robot.profile import RobotProfile
 
-camera = Group("camera", "Calibrate the depth camera, and the legs with it.")
+camera = Group("camera", "Calibrate the depth camera, and legs and IMU with it.")
 
 
 @camera.command("calibrate")
@@ -25,7 +25,7 @@ camera = Group("camera", "Calibrate the depth camera, and the legs with it.")
 @option("--rehearse", "scenario by name or TOML file, e.g. flat+harsh: calibrate its simulated robot instead", "SCENARIO")
 @options.seed
 def calibrate(robot: str, connection: options.Connection, out: str | None, rehearse: str | None, seed: int) -> int:
-    """Measure mount, depth error and delay of the camera, and the horns: the robot moves its body over a flat floor."""
+    """Measure the camera (mount, depth error, delay), the horns and the mount of an IMU: the body moves over a flat floor."""
     from sextant.services.perception.calibration.calibration_client import CalibrationClient
     from sextant.shared.robot.profiles import load_profile
     from sextant.shared.servo.servo_model import Feedback

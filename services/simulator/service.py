@@ -32,7 +32,7 @@ from sextant.services.simulator.viewer import Viewer
 from sextant.shared.files.config import ConfigError
 from sextant.shared.geometry import Array, rotation_from_rpy
 from sextant.shared.robot.kinematics import body_inverse
-from sextant.shared.robot.profile import RobotProfile
+from sextant.shared.robot.profile import GRAVITY, RobotProfile
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.clock import in_use
 from sextant.shared.runtime.lateness import BEAT
@@ -81,6 +81,7 @@ class Simulator:
         self.stages = Stages()
         scenario = load_scenario(settings.scenario) if scenario is None else scenario
         self._robot = profile.name  # of the services, which do not know the real robot
+        R_assumed = profile.imu.R_body_imu
         if scenario.real_robot:
             profile = load_profile(scenario.real_robot)
         self._profile = profile
@@ -109,7 +110,8 @@ class Simulator:
         jitter = np.random.default_rng([settings.seed, 7])
         self._stamps = StampErrors(real.camera.time_offset_s, deviation.stamp_jitter_s, jitter)
         self._imu = ImuSensor(ImuNoise().times(deviation.imu_bias), seeds[3])
-        self._R_imu_body = rotation_from_rpy(np.radians(deviation.imu_rpy_deg)).T
+        R_true = rotation_from_rpy(np.radians(deviation.imu_rpy_deg)) @ profile.imu.R_body_imu
+        self.R_shown_body = R_assumed @ R_true.T  # vectors {body} as the message shows them; only the scorer may read it
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.radians(deviation.horns_deg))  # servo angles at joint angle zero
         self._servos = self._switch_on(profile, scenario, seeds[5])
@@ -343,9 +345,13 @@ class Simulator:
         return True
 
     def _feel(self, now_ns: int) -> Imu:
-        rate, acceleration = (self._R_imu_body @ vector for vector in self.world.imu)
+        rate, acceleration = (self.R_shown_body @ vector for vector in self.world.imu)
         gyro, force = self._imu.update(rate, acceleration, 1.0 / topics.IMU.rate_hz)
         return Imu(now_ns, gyro=gyro, specific_force=force)
+
+    def imu_of_level_body(self) -> Array:
+        """Return what the IMU shows on a level body at rest, without noise: (3,) [m/s^2]. Only the scorer may read it."""
+        return np.asarray(self.R_shown_body[:, 2] * GRAVITY + self._imu.force_bias)
 
     def _truth(self, now_ns: int) -> GroundTruth:
         world = self.world

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.shared.files import config
-from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
+from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_from_rpy, rotation_z, transform
 from sextant.shared.robot import joint_names, joint_servos
 from sextant.shared.robot.body import MM, Body, Foot, LegLinks
 from sextant.shared.robot.camera import DepthSensor, Intrinsics
@@ -210,6 +210,11 @@ class Imu:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    @property
+    def R_body_imu(self) -> Array:
+        """Rotation (3, 3) of vectors from the axes of the sensor into {body}."""
+        return rotation_from_rpy(np.radians([self.roll_deg, self.pitch_deg, self.yaw_deg]))
 
     @property
     def is_separate(self) -> bool:

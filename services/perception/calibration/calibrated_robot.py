@@ -1,4 +1,4 @@
-"""Result of a calibration: the camera and the horns of one robot, with their uncertainty, or why there is none."""
+"""Result of a calibration: camera, horns and IMU of one robot, with their uncertainty, or why there is none."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sextant.services.perception.calibration import kinematic_calibration
+from sextant.services.perception.calibration import imu_mount, kinematic_calibration
 from sextant.services.perception.calibration.kinematic_calibration import Estimate, Recording
 from sextant.services.perception.calibration.survey import Survey
 from sextant.shared.errors import SextantError
 from sextant.shared.geometry import Array, exp_so3, rpy_from_rotation
 from sextant.shared.robot import profile_file
-from sextant.shared.robot.profile import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, Camera, RobotProfile
+from sextant.shared.robot.profile import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, Camera, Imu, RobotProfile
 
 _MIN_POSTURES = 20
 _MIN_BLOCKS = 20  # blocks of pixels that show the floor in a useful image
@@ -22,6 +22,7 @@ _MAX_FLOOR = 0.004  # [1/m] standard deviation of the inverse depth of the floor
 _MAX_SURPRISE = 3.0  # [sigma] by which the floor may contradict a flat one
 _MAX_ANGLE_DEG, _MAX_PLACE_M, _MAX_SCALE, _MAX_DELAY_S = 0.7, 0.006, 0.015, 0.006  # standard deviations of the camera's numbers
 _MAX_TRIM_SIGMA_DEG = 1.0  # of a leg's horns
+_MAX_IMU_SIGMA_DEG = 0.7  # of each angle of the IMU
 
 
 class CalibrationError(SextantError):
@@ -30,12 +31,15 @@ class CalibrationError(SextantError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedRobot:
-    """Camera and horns of one robot."""
+    """Camera, horns and IMU of one robot."""
 
     camera: Camera
     camera_sigma: dict[str, float]  # standard deviations: [deg] of the angles, x, y, z [m], depth_error [1], time_offset_s [s]
     trims_deg: Array  # (6, 3) [deg] of all horns
     trims_sigma_deg: Array  # (6, 3) [deg]
+    imu: Imu  # that of the profile, if the motion did not determine its mount
+    imu_sigma: dict[str, float]  # standard deviations [deg] of the angles; empty without a measurement
+    imu_words: str  # why the mount of a separate IMU is not measured, or an empty string
     estimate: Estimate
     refusals: tuple[str, ...]  # why the result must not be used; empty for a good one
 
@@ -46,7 +50,7 @@ class CalibratedRobot:
         return [int(leg) for leg in np.flatnonzero((fits & (self.trims_sigma_deg < _MAX_TRIM_SIGMA_DEG)).all(axis=1))]
 
     def write(self, path: Path, base: str, day: date) -> RobotProfile:
-        """Write camera and known horns into the robot's own file.
+        """Write camera, known horns and a measured IMU into the robot's own file.
 
         Args:
             path: The file; created if it does not exist.
@@ -72,6 +76,9 @@ class CalibratedRobot:
             },
             "camera.intrinsics": {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy},
         }
+        if self.imu_sigma:
+            imu = self.imu
+            tables["imu"] = {"roll_deg": imu.roll_deg, "pitch_deg": imu.pitch_deg, "yaw_deg": imu.yaw_deg}
         trims = self.trims_deg.round(2).tolist()
         legs = tuple(Calibration(LEGS[leg], day, (c, f, t)) for leg, (c, f, t) in enumerate(trims) if leg in self.known_legs)
         return profile_file.change(path, base, tables, legs)
@@ -95,6 +102,11 @@ class CalibratedRobot:
             f"{'time_offset_s':15s} {1e3 * new.time_offset_s:8.1f} +- {2e3 * sigma['time_offset_s']:.1f} ms     "
             f"(profile {1e3 * old.time_offset_s:.1f})"
         )
+        if self.imu_words:
+            yield f"imu: its mount stays as it is: {self.imu_words}"
+        for name in self.imu_sigma:
+            value, was = getattr(self.imu, name), getattr(before.imu, name)
+            yield f"{'imu ' + name:15s} {value:8.2f} +- {2 * self.imu_sigma[name]:.2f} deg    (profile {was:.2f})"
         known = self.known_legs
         for leg, name in enumerate(LEGS):
             if leg not in known:
@@ -137,12 +149,16 @@ def calibrate(profile: RobotProfile, survey: Survey) -> CalibratedRobot:
         "depth_error": float(estimate.sigma("scale")[0]),
         "time_offset_s": float(estimate.sigma("delay")[0]),
     }
+    imu, imu_sigma, imu_words = _imu(profile.imu, survey.imu(), estimate)
     legs = estimate.with_exact_links()  # a profile has one length for all legs: the horns make up for the differences
     return CalibratedRobot(
         camera=camera,
         camera_sigma=sigma,
         trims_deg=np.degrees(profile.trims + legs.of("trims").reshape(6, 3)),
         trims_sigma_deg=np.degrees(estimate.sigma("trims").reshape(6, 3)),
+        imu=imu,
+        imu_sigma=imu_sigma,
+        imu_words=imu_words,
         estimate=estimate,
         refusals=tuple(_refusals(survey, estimate, sigma)),
     )
@@ -171,6 +187,32 @@ def _camera(camera: Camera, estimate: Estimate) -> Camera:
             cx=round(lens.cx + float(du), 3),
             cy=round(lens.cy + float(dv), 3),
         ),
+    )
+
+
+def _imu(imu: Imu, track: imu_mount.ImuTrack | None, estimate: Estimate) -> tuple[Imu, dict[str, float], str]:
+    """Return the IMU with its measured mount, the standard deviations [deg] of its angles, and why there is no measurement.
+
+    The mount of a camera's IMU is that of the camera.
+    """
+    if not imu.is_separate:
+        return imu, {}, ""
+    if track is None:
+        return imu, {}, "it sent no readings; see the status of the process `imu`"
+    mount = imu_mount.estimate(track, estimate.poses)
+    if mount is None:
+        return imu, {}, "the body came to rest in too few postures, or the IMU was silent; calibrate again"
+    sigma = np.degrees(mount.sigma)
+    if sigma.max() > _MAX_IMU_SIGMA_DEG:
+        return imu, {}, f"it is known to +- {2 * sigma.max():.1f} deg, +- {2 * _MAX_IMU_SIGMA_DEG} expected; calibrate again"
+    R_body_imu = exp_so3(mount.turn) @ imu.R_body_imu
+    roll, pitch, yaw = np.degrees(rpy_from_rotation(R_body_imu)).round(3).tolist()
+    # The turns are about the axes of the body: those of the sensor differ from them if it is mounted turned.
+    of_sensor = np.sqrt(np.diag(R_body_imu.T @ np.diag(sigma**2) @ R_body_imu)).tolist()
+    return (
+        replace(imu, roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw),
+        dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), of_sensor, strict=True)),
+        "",
     )
 
 

@@ -84,13 +84,23 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BodyPoses:
+    """Poses of the body in the images."""
+
+    stamp_ns: Array  # (n,) rising
+    posture: NDArray[np.int64]  # (n,) number of the posture that the robot had or moved to
+    T_floor_body: Array  # (n, 4, 4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Numbers of a robot with their covariance."""
+    """Numbers of a robot with their covariance, and the poses of its body."""
 
     values: Array  # (SIZE,)
     covariance: Array  # (SIZE, SIZE) for independent errors
     sigma_feet: Array  # (3,) [m] {floor} standard deviation of the feet: they slip, and joints have backlash
     sigma_w: float  # [1/m] standard deviation of the inverse depth of a block
+    poses: BodyPoses
 
     def of(self, name: str) -> Array:
         """Return the numbers of one kind, see `_BLOCKS`."""
@@ -126,7 +136,9 @@ def estimate(profile: RobotProfile, recording: Recording) -> Estimate:
     for _ in range(_REWEIGHTINGS):
         x, poses, information = _solve(problem, x, poses, sigma)
         sigma = problem.errors(x, poses)
-    return Estimate(x, np.asarray(np.linalg.inv(information), dtype=np.float64), *sigma)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    stamps = problem.stamps - 1e9 * x[_SLICES["delay"]]
+    return Estimate(x, covariance, *sigma, BodyPoses(stamps, problem.posture, poses))
 
 
 def standing_share(recording: Recording) -> float:
@@ -147,11 +159,11 @@ class _Problem:
         stamps = np.array([view.stamp_ns for view in recording.views]) - 1e9 * self._camera.time_offset_s
         stands = self._joints.stands(stamps)
         used = stands.sum(axis=1) >= MIN_LEGS
-        self._stamps, self._stands = stamps[used], stands[used]
+        self.stamps, self._stands = stamps[used], stands[used]
         self._seen = np.array([view.inverse_depth for view in recording.views])[used]
-        posture = recording.posture[used]
-        self.weights = 1.0 / np.bincount(posture)[posture]  # (views,)
-        q = self._joints.at(self._stamps).reshape(-1, 6, 3)
+        self.posture = recording.posture[used]
+        self.weights = 1.0 / np.bincount(self.posture)[self.posture]  # (views,)
+        q = self._joints.at(self.stamps).reshape(-1, 6, 3)
         legs = [feet_and_shanks(profile, angles) for angles in q]
         self._feet_body = np.array([feet for feet, _ in legs])  # (views, 6, 3)
         self._shanks = np.array([shanks for _, shanks in legs])
@@ -168,7 +180,7 @@ class _Problem:
     def of_feet(self, x: Array, poses: Array) -> Array:
         """Return the errors (views, 18) [m] {floor} of the feet by the joint angles; 0 for feet in the air."""
         R, p = poses[:, :3, :3], poses[:, :3, 3]
-        q = self._joints.at(self._stamps - 1e9 * x[_SLICES["delay"]]).reshape(-1, 6, 3) - x[_SLICES["trims"]].reshape(6, 3)
+        q = self._joints.at(self.stamps - 1e9 * x[_SLICES["delay"]]).reshape(-1, 6, 3) - x[_SLICES["trims"]].reshape(6, 3)
         coxa, femur, tibia = (self._links + x[_SLICES["links"]].reshape(6, 3)).T
         along, up = q[..., 1] + q[..., 2], femur * np.sin(q[..., 1])
         reach = coxa + femur * np.cos(q[..., 1]) + tibia * np.cos(along)

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from sextant.services.perception.calibration.floor_view import block_centres
+from sextant.services.perception.calibration.imu_mount import ImuTrack
 from sextant.services.perception.calibration.kinematic_calibration import JointTrack, Recording
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
 from sextant.shared.robot.kinematics import body_inverse, within_limits
@@ -13,7 +14,7 @@ from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.robot_clock import RobotClockEstimate
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
-from sextant.shared.wire.messages import ActuatorState, FloorView, Message, Mode, ModeCommand, PostureCommand, Tick
+from sextant.shared.wire.messages import ActuatorState, FloorView, Imu, Message, Mode, ModeCommand, PostureCommand, Tick
 
 # Postures, as numbers of a Halton sequence: of its first 400 numbers, those that determine the camera of a PhantomX best, most
 # of all its pitch (exchange algorithm, Fedorov 1972), in the order of the shortest way.
@@ -73,7 +74,7 @@ class Survey:
     """Operator that leads a robot through the postures of a calibration, and records what it measures."""
 
     name = "operator"
-    subscribes = (topics.FLOOR, topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.BODY_POSE)
+    subscribes = (topics.FLOOR, topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.BODY_POSE, topics.IMU)
     publishes = (topics.POSTURE, topics.MODE)
 
     def __init__(self, profile: RobotProfile, holder: str = "operator"):
@@ -100,6 +101,7 @@ class Survey:
         self._views: list[FloorView] = []
         self._numbers: list[int] = []
         self._states: list[ActuatorState] = []
+        self._imu: list[Imu] = []
 
     def status(self) -> str:
         """Return the progress as text."""
@@ -126,6 +128,13 @@ class Survey:
             self._views, np.array(self._numbers), JointTrack(np.array(stamps) - _READ_NS, np.array(q), np.array(contact))
         )
 
+    def imu(self) -> ImuTrack | None:
+        """Return the readings of the IMU during the motion; None without one."""
+        if not self._imu:
+            return None
+        stamps, gyro, force = zip(*((one.stamp_ns, one.gyro, one.specific_force) for one in self._imu), strict=True)
+        return ImuTrack(np.array(stamps), np.array(gyro), np.array(force))
+
     def withdraw(self) -> tuple[Message, ...]:
         """Return the message that stops the robot before the end; none if it was never ordered to move."""
         return () if self._given_ns < 0 else (ModeCommand(self._robot(), "stop", self._robot(), self._holder),)
@@ -134,6 +143,8 @@ class Survey:
         """Note the measurements, and command the next posture."""
         now, state = tick.stamp_ns, inbox.latest(topics.ACTUATOR_STATE)
         self._robot.see(now, None if state is None else state.stamp_ns)
+        newest_ns = self._imu[-1].stamp_ns if self._imu else -1
+        self._imu += [one for one in inbox.drain(topics.IMU) if one.stamp_ns > newest_ns]
         if self._began_ns < 0:
             self._began_ns = now
         if not self.finished:

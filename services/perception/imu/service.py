@@ -5,12 +5,10 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Protocol, Self
 
-import numpy as np
-
 from sextant.services.perception.imu.bno import MODELS, Bno
 from sextant.services.perception.imu.config import Settings
 from sextant.services.perception.imu.reading import BodyImu, ImuError, ImuReading
-from sextant.shared.geometry import Array, rotation_from_rpy
+from sextant.shared.geometry import Array
 from sextant.shared.robot.profile import RobotProfile
 from sextant.shared.runtime.service import AnyTopic, Every, Inbox, Stages
 from sextant.shared.wire import topics
@@ -72,7 +70,7 @@ class ImuService:
         self._opener: Callable[[], Sensor] = opener or (lambda: Bno(imu, settings.port))
         self._clock = clock
         self._name = f"{imu.device} on {settings.port or imu.port}"
-        self._imu = BodyImu(rotation_from_rpy(np.radians([imu.roll_deg, imu.pitch_deg, imu.yaw_deg])))
+        self._imu = BodyImu(imu.R_body_imu)
         self._sensor: Sensor | None = None
         self._openings = 0
         self._trouble = f"{self._name} has sent no reading yet"

@@ -32,7 +32,7 @@ class Imu:
     def __init__(self, noise: ImuNoise, rng: np.random.Generator):
         self._noise, self._rng = noise, rng
         self._gyro_bias = rng.normal(0.0, noise.gyro_bias, 3)
-        self._force_bias = rng.normal(0.0, noise.force_bias, 3)
+        self.force_bias = rng.normal(0.0, noise.force_bias, 3)  # (3,) [m/s^2]
 
     def update(self, rate: Array, force: Array, dt: float) -> tuple[Array, Array]:
         """Return the next reading.
@@ -52,6 +52,6 @@ class Imu:
             raise ValueError(f"a positive interval expected, found {dt} s")
         n, rng = self._noise, self._rng
         self._gyro_bias = self._gyro_bias + rng.normal(0.0, n.gyro_walk * np.sqrt(dt), 3)
-        self._force_bias = self._force_bias + rng.normal(0.0, n.force_walk * np.sqrt(dt), 3)
+        self.force_bias = self.force_bias + rng.normal(0.0, n.force_walk * np.sqrt(dt), 3)
         gyro = rate + self._gyro_bias + rng.normal(0.0, n.gyro_density / np.sqrt(dt), 3)
-        return gyro, force + self._force_bias + rng.normal(0.0, n.force_density / np.sqrt(dt), 3)
+        return gyro, force + self.force_bias + rng.normal(0.0, n.force_density / np.sqrt(dt), 3)

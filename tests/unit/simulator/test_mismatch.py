@@ -1,7 +1,7 @@
 """Deviations of the simulated robot from its profile: what is drawn, and what each of them changes."""
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -9,8 +9,9 @@ import pytest
 from sextant.services.simulator.config import Settings
 from sextant.services.simulator.service import Simulator
 from sextant.services.simulator.servo_bus.servo_bank import ServoBank, ServoVariation
-from sextant.shared.geometry import Array, apply
+from sextant.shared.geometry import Array, apply, rotation_from_rpy, rpy_from_rotation
 from sextant.shared.robot.kinematics import body_inverse, leg_forward
+from sextant.shared.robot.profile import GRAVITY
 from sextant.shared.robot.profiles import load_profile
 from sextant.shared.runtime.service import Inbox
 from sextant.shared.scenario.loading import load_scenario
@@ -193,3 +194,16 @@ def test_imu_is_turned_in_the_body() -> None:
     forces = [m.specific_force for m in run(sim, 1500 * MS) if isinstance(m, Imu)][-50:]
     up = np.mean(forces, axis=0) / np.linalg.norm(np.mean(forces, axis=0))
     assert math.degrees(math.acos(up[2])) == pytest.approx(math.hypot(*deviation.imu_rpy_deg[:2]), abs=0.7)
+
+
+def test_imu_is_right_once_the_profile_states_its_true_mount() -> None:
+    deviation = {"imu_angle_deg": 3.0, "imu_bias": 0.0}
+    mismatch = Mismatch(**deviation, at_bounds=True)  # type: ignore[arg-type]
+    scenario = Scenario("flat", (Plane(),), Goal(1.0), mismatch=mismatch, real_robot="phantomx_mk2_imu")
+    R_body_imu = rotation_from_rpy(np.radians(scenario.deviation(0).imu_rpy_deg))
+    roll, pitch, yaw = np.degrees(rpy_from_rotation(R_body_imu)).tolist()
+    base = load_profile("phantomx_mk2_imu")
+    calibrated = replace(base, imu=replace(base.imu, roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw))
+    level = [0.0, 0.0, GRAVITY]
+    assert Simulator(calibrated, Settings(), scenario).imu_of_level_body() == pytest.approx(level, abs=1e-6)
+    assert Simulator(base, Settings(), scenario).imu_of_level_body() != pytest.approx(level, abs=0.2)

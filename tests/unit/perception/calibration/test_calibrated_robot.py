@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from sextant.services.perception.calibration.calibrated_robot import CalibrationError, calibrate
+from sextant.services.perception.calibration.imu_mount import ImuTrack
 from sextant.services.perception.calibration.kinematic_calibration import Recording
 from sextant.services.perception.calibration.survey import Survey
-from sextant.shared.robot.profile import LEGS
+from sextant.shared.geometry import Array, align_rigid, exp_so3, log_so3
+from sextant.shared.robot.kinematics import feet_and_shanks
+from sextant.shared.robot.profile import GRAVITY, LEGS, Imu
 from sextant.shared.robot.profiles import load_profile
 from tests.unit.perception.calibration.measurements import PROFILE, Truth, recording
 
@@ -24,8 +27,25 @@ class Done(Survey):
     refusal: str = ""
     reason: str = "all postures measured"
 
+    track: ImuTrack | None = None
+
     def recording(self) -> Recording | None:
         return self.measured
+
+    def imu(self) -> ImuTrack | None:
+        return self.track
+
+
+def gravity(measured: Recording, R_true_profile: Array) -> ImuTrack:
+    """Return readings of an IMU whose mount is turned against the profile, in the postures of a recording on level floor."""
+    stamps, force = [], []
+    for number in np.unique(measured.posture):
+        end_ns = measured.views[int(np.flatnonzero(measured.posture == number)[-1])].stamp_ns
+        (q,) = measured.joints.at(np.array([end_ns]))
+        R_floor_body = align_rigid(np.array(feet_and_shanks(PROFILE, q.reshape(6, 3))[0]), PROFILE.rest_feet())[:3, :3]
+        stamps += range(end_ns - 300_000_000, end_ns, 20_000_000)
+        force += 15 * [GRAVITY * R_true_profile.T @ R_floor_body[2]]
+    return ImuTrack(np.array(stamps), np.zeros((len(stamps), 3)), np.array(force))
 
 
 def test_calibrated_camera_and_horns_are_written(tmp_path: Path) -> None:
@@ -44,6 +64,34 @@ def test_calibrated_camera_and_horns_are_written(tmp_path: Path) -> None:
     lines = list(found.lines(PROFILE))
     assert any(line.startswith("pitch_down_deg") and "(profile 30.00)" in line for line in lines)
     assert [line.split(":")[0] for line in lines[-6:]] == list(LEGS)
+
+
+def test_mount_of_a_separate_imu_is_written(tmp_path: Path) -> None:
+    robot = replace(PROFILE, imu=Imu("bno085", yaw_deg=90.0))
+    measured, _ = recording(Truth(robot))
+    found = calibrate(robot, Done(measured, track=gravity(measured, exp_so3(np.radians([2.0, -1.0, 3.0])))))
+    written = found.write(tmp_path / "mine.toml", "phantomx_mk2_imu", date(2026, 7, 30)).imu
+    expected = exp_so3(np.radians([2.0, -1.0, 3.0])) @ robot.imu.R_body_imu
+    assert np.degrees(log_so3(expected.T @ written.R_body_imu)) == pytest.approx(0.0, abs=0.3)
+    assert any(line.startswith("imu yaw_deg") and "(profile 90.00)" in line for line in found.lines(robot))
+
+
+@pytest.mark.parametrize(("readings", "words"), [(False, "it sent no readings"), (True, "came to rest in too few postures")])
+def test_mount_of_an_imu_that_is_not_measured_stays(tmp_path: Path, readings: bool, words: str) -> None:
+    robot = replace(PROFILE, imu=Imu("bno085", roll_deg=5.0))
+    measured, _ = recording(Truth(robot))
+    track = gravity(measured, np.eye(3)) if readings else None
+    found = calibrate(robot, Done(measured, track=track and replace(track, gyro=track.gyro + 1.0)))
+    assert found.refusals == ()
+    assert any(line.startswith("imu: its mount stays as it is: ") and words in line for line in found.lines(robot))
+    found.write(tmp_path / "mine.toml", "phantomx_mk2_imu", date(2026, 7, 30))
+    assert "[imu]" not in (tmp_path / "mine.toml").read_text()
+
+
+def test_imu_of_a_camera_has_the_mount_of_the_camera() -> None:
+    measured, _ = recording(Truth())
+    found = calibrate(PROFILE, Done(measured, track=gravity(measured, np.eye(3))))
+    assert not any(line.startswith("imu") for line in found.lines(PROFILE))
 
 
 @pytest.mark.parametrize(

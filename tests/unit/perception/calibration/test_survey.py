@@ -15,6 +15,7 @@ from sextant.shared.wire.messages import (
     ActuatorState,
     BodyPose,
     FloorView,
+    Imu,
     Message,
     Mode,
     ModeCommand,
@@ -147,3 +148,16 @@ def test_perception_with_another_profile_ends_the_survey() -> None:
         rig.survey.reason == f"{BLOCKS} blocks of an image expected, found {BLOCKS - 1}: perception runs with another profile"
     )
     assert rig.survey.recording() is None
+
+
+def test_readings_of_the_imu_are_kept_in_order() -> None:
+    rig = Rig()
+    rig.run(1.0)
+    assert rig.survey.imu() is None
+    for stamp_ns in (5, 7, 6, 8):
+        message = Imu(stamp_ns, gyro=np.zeros(3), specific_force=np.array([0.0, 0.0, float(stamp_ns)]))
+        rig.inbox.receive(topics.IMU, codec.encode(message), rig.now_ns)
+        rig.run(0.1)
+    track = rig.survey.imu()
+    assert track.stamp_ns.tolist() == [5, 7, 8]
+    assert track.specific_force[:, 2].tolist() == [5.0, 7.0, 8.0]
