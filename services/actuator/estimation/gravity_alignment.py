@@ -24,6 +24,7 @@ _MAX_RATE_RAD_S, _MAX_FORCE_M_S2 = 100.0, 2000.0  # [rad/s] and [m/s^2] measurin
 _ODD_NS = 1_000_000_000  # [ns] for which an out-of-range reading is reported
 _GAP_NS = 100_000_000  # [ns] without a reading after which the rotation meanwhile is unknown
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; an older one is from another clock
+_SETTLING_NS = 3_000_000_000  # [ns] that the attitude takes to become certain, at first
 _CALM_NS = 1_000_000_000  # [ns] of standing after which the body no longer moves
 _PATIENCE_S = 5.0  # [s] of standing for which a walk waits for the gyro's bias
 _MAX_UNCERTAINTY_RAD = np.radians(3.0)  # [rad] standard deviation up to which the sensor is used
@@ -40,7 +41,7 @@ class GravityAlignment:
         """Begin without a reading."""
         self._estimator = AttitudeEstimator()
         self._attitude: Attitude | None = None
-        self._stamp_ns = -1  # of the newest reading
+        self._first_ns = self._stamp_ns = -1  # of the first and the newest reading
         self._heard_ns = -1  # when it arrived
         self._odd_ns = -_ODD_NS - 1  # when the last out-of-range reading arrived
         self._moved_ns = -1  # stamp of the last reading of a robot that did not stand
@@ -78,6 +79,7 @@ class GravityAlignment:
             self._moved_ns = reading.stamp_ns
         self._stood_s += min(max(since_ns, 0), _GAP_NS) * 1e-9 * still
         still = reading.stamp_ns - self._moved_ns > _CALM_NS
+        self._first_ns = reading.stamp_ns if self._attitude is None else self._first_ns
         self._stamp_ns, self._heard_ns = reading.stamp_ns, now_ns
         self._attitude = self._estimator.update(reading.gyro, reading.specific_force, max(since_ns, 1) * 1e-9, still)
 
@@ -108,6 +110,8 @@ class GravityAlignment:
                 "the IMU's gyroscope and accelerometer contradict each other (rad/s and m/s^2 expected); "
                 "the tilt is estimated from the feet"
             )
+        if self._stamp_ns - self._first_ns < _SETTLING_NS:
+            return ""
         return (
             f"the IMU's tilt is uncertain by {math.degrees(self._attitude.doubt):.0f} deg; the tilt is estimated from the feet"
         )

@@ -93,6 +93,16 @@ def test_attitude_is_uncertain_after_a_gap() -> None:
     assert "uncertain by" in plumb.problem(later_ns)
 
 
+def test_attitude_that_becomes_certain_after_the_start_is_no_problem() -> None:
+    plumb = GravityAlignment()
+    unknown = 0
+    for now_ns in range(0, 4_000 * MS, 10 * MS):
+        plumb.take(Imu(now_ns, np.zeros(3), G), now_ns)
+        unknown += plumb.attitude(now_ns) is None
+        assert plumb.problem(now_ns) == ""
+    assert 100 < unknown < 300
+
+
 def test_out_of_order_reading_is_ignored() -> None:
     plumb, now_ns = alignment_at_rest(np.eye(3))
     before = plumb.attitude(now_ns)
